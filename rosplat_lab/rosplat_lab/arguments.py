@@ -1,4 +1,4 @@
-"""What commands check of their arguments, each refused by a line that names it."""
+"""Checks of commands' arguments; each error names the argument."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def whole(least: int, most: int = sys.maxsize) -> Callable[[str], int]:
 
 
 def number(what: str) -> Callable[[str], float]:
-    """A type for argparse: finite numbers that are not negative; what: they are, for errors."""
+    """A type for argparse: finite numbers that are not negative. what: their name in errors."""
 
     def parse(text: str) -> float:
         try:
@@ -41,13 +41,13 @@ def number(what: str) -> Callable[[str], float]:
 
 
 def sized(what: str) -> Callable[[str], int]:
-    """A type for argparse: whole numbers above 0, as 500k, 5M or 20G too; what: they are."""
+    """A type for argparse: whole numbers above 0, as 500k, 5M or 20G too. what: their name."""
 
     def parse(text: str) -> int:
         unit = {"k": 10**3, "m": 10**6, "g": 10**9}.get(text[-1:].lower(), 1)
         try:
             value = round(float(text if unit == 1 else text[:-1]) * unit)
-        except (ValueError, OverflowError):  # the latter of inf
+        except (ValueError, OverflowError):  # OverflowError: inf
             value = 0
         if value < 1:
             raise argparse.ArgumentTypeError(f"'{text}' is no {what}, such as 500k or 5M")

@@ -12,7 +12,7 @@ from typing import Any
 from rosplat_tools.program.processes import ProcessError, Processes, node_command
 
 NAME = "rviz2"  # of its log
-PATIENCE = 60.0  # with its first answer, and with each later one [s]
+PATIENCE = 60.0  # longest wait for an answer of rviz2 [s]
 
 
 class Refused(RuntimeError):
@@ -69,11 +69,11 @@ class DrivenRviz:
                 return connection.makefile("rw")
 
     def quit(self) -> int:
-        """The exit code of rviz2 after its window was closed."""
+        """Closes rviz2's window, and returns its exit code."""
         self.ask("quit")
         self._connection.close()
         code = self.process.wait(PATIENCE)
-        self.processes.forget(self.process)  # and no sooner: its screen would go before it
+        self.processes.forget(self.process)  # not before it ended: its screen would go first
         return code
 
     def ask(self, what: str, **request: object) -> Any:
@@ -92,16 +92,16 @@ class DrivenRviz:
         return reply["result"]
 
     def load(self, config: str) -> None:
-        """Has a configuration loaded, which first takes away all that there was."""
+        """Loads a configuration, in place of all that there was."""
         file = self.folder / "loaded.rviz"
         file.write_text(config)
         self.ask("load", file=str(file))
         places = None
-        while places != (places := self.ask("places")):  # the window finds its layout
+        while places != (places := self.ask("places")):  # until the window's layout rests
             time.sleep(0.2)
 
     def save(self, file: Path) -> None:
-        """Has the configuration saved."""
+        """Saves the configuration."""
         self.ask("save", file=str(file))
 
     def set(self, *path: str, value: object, root: str = "displays") -> None:
@@ -124,7 +124,7 @@ class DrivenRviz:
         return found
 
     def status_line(self) -> str:
-        """What the tool or the view says below, as HTML."""
+        """What the tool or the view says in the window's status line, as HTML."""
         line: str = self.ask("status line")
         return line
 
@@ -140,7 +140,7 @@ class DrivenRviz:
 
     def complaints(self) -> list[str]:
         """What a user would see in yellow or red: each entry of a Status that isn't Ok, rviz's own
-        Global Status too, and each display that rviz could not load. None of a disabled display.
+        Global Status too, and each display that rviz could not load. Disabled displays have none.
         """
         found: list[str] = []
 

@@ -26,7 +26,7 @@ def _processor() -> str:
 
 
 def commit() -> str:
-    """Of the checkout that this runs in, else $ROSPLAT_COMMIT, else empty."""
+    """The commit of the checkout that this runs in, else $ROSPLAT_COMMIT, else empty."""
     try:
         git = subprocess.run(
             ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
@@ -47,7 +47,7 @@ def peak_bytes(pid: int) -> int:
 
 
 def processor_seconds(pid: int) -> float:
-    """What all threads of a process have taken; 0 when it has ended. [s]"""
+    """Processor time of all threads of a process; 0 when it has ended. [s]"""
     try:
         text = Path(f"/proc/{pid}/stat").read_text()
     except OSError:

@@ -1,6 +1,6 @@
 """Scenes of 3D Gaussians: publishers, an emulated SLAM node and robot.
 
-What stands here is the public interface, loaded when it is first used; the modules are private.
+The names here are the public interface, each loaded at its first use. The modules are private.
 """
 
 from __future__ import annotations

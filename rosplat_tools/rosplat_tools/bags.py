@@ -13,7 +13,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 
 Read = Callable[[Collection[str]], Iterator[tuple[str, bytes]]]
-"""Topics and serialized messages of some topics."""
+"""Yields topics and serialized messages of the topics that it is given."""
 
 
 def topics(path: str) -> dict[str, str]:

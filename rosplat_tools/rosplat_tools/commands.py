@@ -1,4 +1,4 @@
-"""The package's programs, each loaded where an interrupt is quiet already: that takes a second."""
+"""The package's programs. run_module loads each, which takes a second, with interrupts quiet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where frames are, by TF."""
+"""Poses of frames, from TF."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 from rosplat_tools.poses import to_matrix, to_pose
 
-# The wheels of PyPI don't have it.
+# The wheels of PyPI lack tf2_ros.
 try:
     import tf2_ros
 except ImportError:
     tf2_ros = None
 
-LATEST = 0  # the time of the last pose; and of what never moves [ns]
-KEEPS = 10.0  # [s]
+LATEST = 0  # asks for the last pose; also the time of a pose that never changes [ns]
+KEEPS = 10.0  # how far back poses are kept [s]
 
 
 class FrameError(LookupError):
-    """A frame that isn't known, or not yet, or not then; the text says which."""
+    """A frame isn't known at all, or not yet, or not at that time; the text says which."""
 
 
 class Frames:
-    """Poses of frames, as TF tells a node, or as take() is given them."""
+    """Poses of frames, from a node's TF or from take()."""
 
     def __init__(self, node: Node | None = None, keeps: float = KEEPS) -> None:
         """keeps: how far back [s]. Raises SceneError where there is no TF."""
@@ -38,12 +38,12 @@ class Frames:
         self._listener = tf2_ros.TransformListener(self._buffer, node) if node else None
 
     def take(self, transform: TransformStamped, static: bool) -> None:
-        """A transform, of all times where it is static."""
+        """Adds a transform; a static one holds at all times."""
         fill = self._buffer.set_transform_static if static else self._buffer.set_transform
         fill(transform, "")
 
     def pose(self, frame: str, within: str, stamp: int = LATEST) -> tuple[int, NDArray[np.float64]]:
-        """Where a frame is in another, (4, 4), and when that is [ns]. Raises FrameError."""
+        """Time [ns] and pose (4, 4) [m] of a frame in another one. Raises FrameError."""
         try:
             found = self._buffer.lookup_transform(within, frame, Time(nanoseconds=stamp))
         except tf2_ros.TransformException as error:

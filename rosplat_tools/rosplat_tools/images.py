@@ -13,7 +13,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 from rosplat_tools.messages import as_array
 
-# Eight bits a channel: how many there are, and where red, green and blue are of them.
+# By encoding, of 8 bits a channel: number of channels, and indices of red, green and blue.
 _ENCODINGS = {
     "rgb8": (3, (0, 1, 2)),
     "bgr8": (3, (2, 1, 0)),
@@ -24,7 +24,7 @@ _ENCODINGS = {
 
 
 def to_image(pixels: NDArray[np.generic], encoding: str) -> Image:
-    """The message of pixels (height, width, ...) that are as the encoding has them."""
+    """The message of pixels (height, width, ...), which are laid out as the encoding says."""
     height, width = pixels.shape[:2]
     step = pixels.nbytes // height
     return Image(
@@ -33,7 +33,7 @@ def to_image(pixels: NDArray[np.generic], encoding: str) -> Image:
 
 
 def to_bytes(colours: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Values of 0 to 1 as bytes, rounded; what is beyond is clamped."""
+    """Values of 0 to 1 as bytes, rounded; values beyond are clamped."""
     return (255 * np.clip(colours, 0, 1) + 0.5).astype(np.uint8)
 
 
@@ -55,7 +55,7 @@ def from_image(image: Image) -> NDArray[np.uint8]:
 
 
 def read_mask(path: str) -> NDArray[np.bool_]:
-    """(height, width) where a picture file isn't black. Raises SceneError, naming the file."""
+    """(height, width) true where a picture file isn't black. Raises SceneError, naming the file."""
     try:
         with Picture.open(Path(path)) as picture:
             return np.asarray(picture.convert("L")) > 0

@@ -17,7 +17,7 @@ from rosplat_core.rendering import MOST_PSNR, CpuRenderer, posed
 from rosplat_core.scenes import NAMES, is_generated, read_scene, vertical
 from rosplat_core.splats import Splats
 
-VIEWS = 8  # in which ways to draw are compared
+VIEWS = 8  # in which two orders of drawing are compared
 QUANTILES = (0.0, 0.01, 0.5, 0.99, 1.0)
 
 
@@ -86,7 +86,7 @@ def _drawn(name: str, splats: Splats) -> dict[str, str]:
 def order_costs(splats: Splats, up: tuple[float, float, float]) -> list[float]:
     """PSNR of pictures in the order of splats' distance against those in the order of depth. [dB]
 
-    In views from around, at 640x360.
+    One for each of VIEWS views from around the scene, at 640x360.
     """
     renderer, here = CpuRenderer(splats), place(splats)
     corners = here.centre + np.array([[-1.0], [1.0]]) * here.radius / np.sqrt(3)

@@ -1,4 +1,4 @@
-"""Publishes a map of Gaussians and its edits, for SLAM back ends that want theirs in rviz2."""
+"""Publishes a map of Gaussians and its edits, for SLAM back ends that show maps in rviz2."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from rosplat_tools.poses import to_pose
 from rosplat_tools.pull_server import PullServer
 
 CHUNK_BYTES = 8_000_000
-# How long `repeat` waits for a subscriber that acknowledges nothing: the middleware has given up
-# one that is gone by then. [s]
+# How long `repeat` waits for a subscriber that acknowledges nothing [s]. A subscriber that is gone
+# has been given up by the middleware by then.
 PATIENCE = 30.0
 
 Progress = Callable[[int], None]
@@ -104,7 +104,7 @@ class MapPublisher:
             partial(_answer, self._map, self._wire),
             partial(_report, self._map, self._wire),
         )
-        # Ends with the publisher at the latest: the server holds no reference to it.
+        # Closes the server with this object at the latest: the server holds no reference to it.
         self._end_pulls = weakref.finalize(self, pulls.close)
 
     def close(self) -> None:
@@ -150,7 +150,7 @@ class MapPublisher:
     def snapshot(self) -> tuple[Slots, Splats]:
         """A copy of the map as it is: the slots in use, ascending, and their splats.
 
-        In the map's frame, each group where it was placed.
+        The splats are in the map's frame, each group at its pose.
         """
         slots, parts = [], []
         for _, pose, own_slots, arrays in self._map.groups():
@@ -177,10 +177,10 @@ class MapPublisher:
         expected_slots: how many slots the finished map will need, by default n. stamp: time of the
         map, by default now. shared: the map uses the splats' own arrays instead of a copy, and
         makes them read-only. Raises ValueError if splats or expected_slots exceed MAX_SLOTS. If
-        sending fails, the map before stays and is sent again.
+        sending fails, the previous map stays and is sent again.
         """
         if isinstance(splats, PackedSplats):
-            shared = True  # a copy would be one of floats
+            shared = True  # a copy would unpack them into floats
         else:
             _check_type(splats)
         if expected_slots is not None:
@@ -201,7 +201,7 @@ class MapPublisher:
         self._map.repeat()
 
     def expect(self, slots: int) -> None:
-        """Says how many slots the finished map will need, 0 if unknown, from the next batch on.
+        """Announces, from the next batch on, how many slots the finished map needs; 0 if unknown.
 
         Raises ValueError for more than MAX_SLOTS.
         """
@@ -265,7 +265,7 @@ class MapPublisher:
 def _answer(
     published: PublishedMap, wire: _Wire, request: PullMap.Request, response: PullMap.Response
 ) -> PullMap.Response:
-    """What a pull asks for."""
+    """Answers a pull with the batches that it asks for."""
     if request.map_id not in ("", published.map_id) and wire.rivals:
         wire.warn(
             "is published by others, too, and receivers see one map in place of the other: "
@@ -307,8 +307,8 @@ class _Wire:
         self._topic = topic
         self._publisher: Publisher | None = None
         self._call = _Call()
-        self.sent_bytes = 0  # of arrays, on the topic
-        self.pulls = self.pulled_bytes = 0  # that were answered
+        self.sent_bytes = 0  # of the arrays of batches on the topic
+        self.pulls = self.pulled_bytes = 0  # pulls answered, and the bytes of their arrays
 
     def advertise(self) -> None:
         self._publisher = self._node.create_publisher(
@@ -322,9 +322,9 @@ class _Wire:
 
     @contextmanager
     def replacing(self, progress: Progress | None) -> Iterator[None]:
-        """Reports what this thread sends in the block to progress.
+        """Reports the splats that this thread sends in the block to progress.
 
-        A KeyboardInterrupt, or another exception that is no Exception, ends the sending at once.
+        An exception that is no Exception, KeyboardInterrupt say, ends all sending in the block.
         """
         self._call.progress, self._call.replaces = progress, True
         try:
@@ -338,7 +338,7 @@ class _Wire:
             raise RuntimeError(f"{self._topic}: its publisher is closed")
         if self._call.ended:
             raise RuntimeError(f"{self._topic}: sending was ended")
-        progress, self._call.progress = self._call.progress, None  # what it raises ends the sending
+        progress, self._call.progress = self._call.progress, None  # an error of it ends the sending
         try:
             message = self.message(batch)
             publisher.publish(message)
@@ -352,21 +352,21 @@ class _Wire:
 
     @property
     def subscribers(self) -> int:
-        """How many hear the topic."""
+        """Number of the topic's subscribers."""
         return self._publisher.get_subscription_count() if self._publisher else 0
 
     @property
     def rivals(self) -> bool:
-        """Whether others publish to the topic, too."""
+        """Whether the topic has other publishers."""
         return bool(self._node.count_publishers(self._topic) > 1)
 
     def warn(self, text: str) -> None:
         self._node.get_logger().warning(f"{self._topic}: {text}", throttle_duration_sec=5.0)
 
     def settle(self) -> None:
-        """Waits until subscribers have acknowledged what was sent, for a while."""
+        """Waits until subscribers have acknowledged all batches, for PATIENCE at most."""
         until = time.monotonic() + PATIENCE
-        now = Duration()  # rclpy waits with the interpreter's lock held
+        now = Duration()  # no timeout: rclpy would wait with the interpreter's lock held
         while self._publisher and not self._publisher.wait_for_all_acked(now):
             if time.monotonic() > until or not self._node.context.ok():
                 return
@@ -423,7 +423,7 @@ def as_message(batch: PublishedBatch, header: Header) -> GaussianArray:
 
 
 def _in_short(slots: NDArray[np.uint32]) -> Slots:
-    """Ascending slots without a gap as a range."""
+    """Ascending slots, as a range if they have no gap."""
     if not len(slots):
         return range(0)
     first, end = int(slots[0]), int(slots[-1]) + 1
@@ -431,7 +431,7 @@ def _in_short(slots: NDArray[np.uint32]) -> Slots:
 
 
 def _checked(slots: range | ArrayLike) -> range | NDArray[np.uint32]:
-    """Slots that the map can look at: what they may be is its to say."""
+    """Slots as PublishedMap takes them; it checks the rest. Raises ValueError."""
     if isinstance(slots, range):
         if slots.step != 1:
             raise ValueError(f"slots: a range must be contiguous, got {slots}")
@@ -439,7 +439,7 @@ def _checked(slots: range | ArrayLike) -> range | NDArray[np.uint32]:
     else:
         slots = np.asarray(slots)
         if not slots.size:
-            return np.zeros(0, np.uint32)  # NumPy takes an empty list for floats
+            return np.zeros(0, np.uint32)  # NumPy makes floats of an empty list
         if slots.ndim != 1 or not np.issubdtype(slots.dtype, np.integer):
             raise ValueError(f"slots: expected (n,) integers, got {slots.shape} {slots.dtype}")
         ends = (slots.min(), slots.max())
@@ -451,7 +451,7 @@ def _checked(slots: range | ArrayLike) -> range | NDArray[np.uint32]:
 
 
 def _whole(name: str, number: int, most: int) -> int:
-    """A number from 0 to most as Python's own: of NumPy's, messages take only some."""
+    """A number from 0 to most as an int: messages take only some of NumPy's integers."""
     if not isinstance(number, int | np.integer) or not 0 <= number <= most:
         raise ValueError(f"{name}: a number from 0 to {most}, got {number}")
     return int(number)

@@ -1,4 +1,4 @@
-"""A map of rosplat_core that is kept as its topic has it."""
+"""Keeps a map of rosplat_core equal to the map that a topic publishes."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.batches import apply, array_bytes
 from rosplat_sorter.map_subscription import MapSubscription
 
-MOST_WAITING = 1 << 25  # of batches; what comes beyond that is pulled later [bytes]
-PATIENCE = 3.0  # how long a map that begins anew is waited for [s]
+MOST_WAITING = 1 << 25  # of batches; batches beyond that are pulled later [bytes]
+PATIENCE = 3.0  # how long problem() waits for a map that begins anew [s]
 
 
 class MapSubscriber:
-    """Hears `gaussians` and pulls what is missing. ROS's threads hand batches over; take() applies
-    them, in the thread of whoever uses the map.
+    """Hears `gaussians` and pulls missing batches. ROS's threads hand the batches over; take()
+    applies them, in the thread that uses the map.
     """
 
     def __init__(
@@ -33,20 +33,20 @@ class MapSubscriber:
         *,
         most_sh_degree: int = 3,
     ) -> None:
-        """target: a GaussianMap, or what has one as its `map`. heard: called whenever a batch has
-        come; by default it is take(). most_sh_degree: what is pulled has no harmonics above it.
+        """target: a GaussianMap, or an object with one as its `map`. heard: called whenever a batch
+        has come, by default take(). most_sh_degree: harmonics above it aren't pulled.
         """
         self._node, self._target, self._heard = node, target, heard or self.take
         self.books = getattr(target, "map", target)
         self.header = Header()
-        """Of the last batch that was applied."""
+        """Header of the last applied batch."""
         self.edits = 0
-        """Batches that were applied: the map is another one when it grows."""
+        """Number of applied batches. It grows whenever the map changes."""
         self.applied: Callable[[GaussianArray], None] = lambda batch: None
-        """Is told of each of them, by take()."""
-        self._refused = self._dropped = 0  # batches, and splats
-        self._announced = False  # whether all that the publisher announced has been there
-        self._began = self._applied = 0.0  # the map, and its last batch
+        """Called by take() with each applied batch."""
+        self._refused = self._dropped = 0  # refused batches, and dropped splats
+        self._announced = False  # whether the map has held all that was announced
+        self._began = self._applied = 0.0  # times of the last REPLACE and of the last batch [s]
         self._waiting: deque[tuple[GaussianArray, Arrival]] = deque()
         self._subscription = MapSubscription(
             node,
@@ -64,7 +64,7 @@ class MapSubscriber:
         self._heard()
 
     def take(self) -> None:
-        """Applies what has come since. In one thread at a time."""
+        """Applies the batches that wait. Call it from one thread at a time."""
         while self._waiting:
             batch, arrival = self._waiting.popleft()
             try:
@@ -79,7 +79,7 @@ class MapSubscriber:
             self._applied = time.monotonic()
             if batch.operation == GaussianArray.REPLACE:
                 self._announced, self._began = False, self._applied
-            # What is deleted later, and what a late pull has no more of, isn't missing.
+            # Splats that are deleted later, or that a late pull lacks, aren't missing.
             self._announced |= arrival is Arrival.LAST or self.books.complete
             self.applied(batch)
             if dropped:
@@ -87,10 +87,10 @@ class MapSubscriber:
                 self._warn(f"{dropped} splats with invalid values are left out")
 
     def problem(self) -> str:
-        """Why less of the map is here than there is; empty where all of it is.
+        """Why this copy of the map isn't whole; empty if it is.
 
-        A map that begins anew is waited for until all that its publisher announced is there, or
-        for three seconds: it may be one that grows.
+        A map that begins anew counts as whole once all that its publisher announced has come, or
+        after three seconds: it may be a map that grows.
         """
         books = self.books
         if not self.edits:
@@ -102,7 +102,7 @@ class MapSubscriber:
         return ""
 
     def figures(self) -> dict[str, object]:
-        """What /diagnostics has of a map, by the words that all nodes use."""
+        """Values of the map for /diagnostics, by the names that all nodes use."""
         return {
             "Map": self.books.map_id,
             "Revision": self.books.revision,

@@ -1,4 +1,4 @@
-"""What messages of maps are made of. Arrays move as blocks of memory, never by element."""
+"""Parts of messages of maps. Arrays are copied as blocks of memory, never by element."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Slots = range | NDArray[np.integer]
 
 
 def as_array(typecode: str, values: NDArray[np.generic]) -> array[float]:
-    """What a setter of rosidl takes as it is; an ndarray it copies by element."""
+    """An array.array, which setters of rosidl take as it is. They copy an ndarray by element."""
     result: array[float] = array(typecode)
     result.frombytes(np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)
     return result

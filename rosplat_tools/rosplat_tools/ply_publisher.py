@@ -22,24 +22,24 @@ from rosplat_tools.program.files_below import check_below
 from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.running import Cancelled, run, spinning, wait_for_end
 
-# Of callbacks: what is sent, what is read and what ends that, a save, a pull, parameters.
+# Of callbacks: ~/load that sends, one that reads, one that cancels; ~/save, repeat, parameters.
 THREADS = 6
 
 
 class PlyPublisher(Node):
     """Publishes the scene of its parameter `path` on `gaussians`; serves `~/load` and `~/save`.
 
-    It holds splats packed, as exact as displays do.
+    Splats are held packed, as exact as displays hold them.
     """
 
     def __init__(self) -> None:
-        # First: since Kilted, half a node is destroyed, too. One scene is read at a time.
+        # First: since Kilted, half-made nodes are destroyed, too. One scene is read at a time.
         self._reader = ThreadPoolExecutor(1, "reader")
         self._asking = threading.Lock()
         self._answer: Future[str] = (
             Future()
         )  # to the newest request; can be cancelled while it reads
-        self._up: tuple[float, float, float] | None = None  # of the map, where its format fixes it
+        self._up: tuple[float, float, float] | None = None  # of the map, if its format fixes it
         super().__init__("ply_publisher")
         self.path: str = declare(
             self, "path", "", f"Scene to publish: {NAMES}; empty: wait for ~/load."
@@ -64,10 +64,10 @@ class PlyPublisher(Node):
         )
 
     def load(self, path: str, root: str = "/") -> str:
-        """Makes a scene, a file of a folder at any depth, the map; returns what was loaded.
+        """Makes a scene below the folder root, at any depth, the map; returns a line about it.
 
-        A later call ends one that is still reading, at once. Raises SceneError or Cancelled: the
-        map stays.
+        A later call cancels one that is still reading, at once. Raises SceneError or Cancelled:
+        the map stays.
         """
         if root != "/" and not is_generated(path):
             check_below("scene_root", root, path)
@@ -79,13 +79,13 @@ class PlyPublisher(Node):
             raise Cancelled from None
 
     def destroy_node(self) -> None:
-        """Ends what is still being read, too."""
+        """Cancels reading, too."""
         self._answer.cancel()
         self._reader.shutdown()
         super().destroy_node()
 
     def _ask(self) -> Future[str]:
-        """The answer to a new request, which ends an older one that is still reading."""
+        """The answer to a new request. Cancels an older request that is still reading."""
         with self._asking:
             self._answer.cancel()
             answer: Future[str] = Future()
@@ -101,7 +101,7 @@ class PlyPublisher(Node):
 
     def _load(self, answer: Future[str], path: str) -> str:
         start = time.monotonic()
-        self._go_on(answer)  # it may have waited
+        self._go_on(answer)  # cancelled, maybe, while it waited
         splats = self._read(answer, path)
         up = vertical(path)
         if not answer.set_running_or_notify_cancel():
@@ -177,7 +177,7 @@ class PlyPublisher(Node):
 
 
 def main() -> None:
-    """Runs the node until it is told to end; exit code 1 where the scene of `path` is none."""
+    """Runs the node until it is told to end; exit code 1 if `path` is no scene."""
     run("ply_publisher", _publish)
 
 

@@ -1,4 +1,4 @@
-"""Poses of groups: messages and matrices of one another, checked."""
+"""Converts poses between messages and matrices, and checks them."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ TOLERANCE = 1e-4
 
 
 def to_pose(pose: Pose | ArrayLike, name: str = "pose") -> Pose:
-    """A pose, given as such or as a rigid transform (4, 4), with a quaternion of unit length.
+    """A Pose with a unit quaternion, of a Pose or a rigid transform (4, 4).
 
-    Raises ValueError, naming it, for anything else.
+    Raises ValueError, whose text begins with name, for anything else.
     """
     if isinstance(pose, Pose):
         position, orientation = (np.array(values) for values in pose_values(pose))

@@ -1,4 +1,4 @@
-"""What a publisher of a map answers and says whatever its author's node does, spun or not."""
+"""Answers a map's pulls and reports its diagnostics, whether or not its author's node is spun."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ PATIENCE = 5.0  # for the thread to end [s]
 class PullServer:
     """Answers a map's pulls in a thread of its own, until it is closed or ROS ends.
 
-    The thread reports the publisher's diagnostics, too. rclpy's executors take whole nodes: the
-    thread has a hidden one beside the publisher's.
+    The thread reports the publisher's diagnostics, too. rclpy's executors take whole nodes, so
+    the thread has a hidden node beside the publisher's.
     """
 
     def __init__(self, node: Node, topic: str, serve: Serve, report: Callable[[], Report]) -> None:
@@ -32,7 +32,7 @@ class PullServer:
             f"_{node.get_name()}{topic.replace('/', '_')}",
             namespace=node.get_namespace(),
             context=node.context,
-            use_global_arguments=False,  # which would rename it, too
+            use_global_arguments=False,  # these would rename it, too
             start_parameter_services=False,
             enable_rosout=False,
         )
@@ -58,8 +58,8 @@ class PullServer:
             self._node.destroy_node()
 
     def close(self) -> None:
-        """Ends the service after the answer that it is at."""
-        with suppress(InvalidHandle):  # the thread has ended, or does with ROS
+        """Ends the service after the current answer."""
+        with suppress(InvalidHandle):  # the thread has ended, or ends with ROS
             self._ending.trigger()
         if self._thread is not threading.current_thread():
             self._thread.join(PATIENCE)

@@ -30,12 +30,12 @@ def generate_launch_description() -> LaunchDescription:
         launch_arguments={
             "scene": LaunchConfiguration("scene"),
             "max_splats": LaunchConfiguration("max_splats"),
-            "sensors": "true",  # whose TF has the camera
+            "sensors": "true",  # their TF has the camera
             "obstacles": "true",
             "config": str(FOLDER.parent / "config" / "camera.rviz"),
         }.items(),
     )
-    # A configuration's names begin with a slash: they mean what compare has in its namespace.
+    # Topics in a configuration begin with a slash: remap them to compare's, in its namespace.
     shown = [SetRemap(f"/{topic}", topic) for topic in ("rendered", "difference", "residuals")]
     programs = OpaqueFunction(function=_programs)
     return LaunchDescription([*declared(ARGUMENTS), GroupAction([*shown, view]), programs])

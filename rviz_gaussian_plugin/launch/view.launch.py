@@ -55,9 +55,9 @@ ARGUMENTS = {
     ),
 }
 
-# Of demo_sensors, which sensors.rviz shows.
+# Topics of demo_sensors that sensors.rviz shows.
 SENSORS = ("imu/data", "camera/image_raw", "camera/camera_info", "camera/pose", "camera/path")
-# Of occupancy, which obstacles.rviz shows; below the map's topic.
+# Topics of occupancy that obstacles.rviz shows, below the map's topic.
 OBSTACLES = ("occupancy", "voxels", "surface")
 
 
@@ -71,7 +71,7 @@ def _programs(context: LaunchContext) -> list[GroupAction]:
 
     scene, frame = given["scene"], given["frame_id"]
     programs = []
-    # No publisher without a scene: beside it, a volatile publisher of a SLAM node isn't heard.
+    # No publisher without a scene: beside it, displays don't hear a SLAM node's volatile one.
     if scene:
         programs.append(publisher(scene, frame, whole_number(given, "max_splats")))
     if is_true(given, "sorter"):
@@ -98,7 +98,7 @@ def _rviz(given: dict[str, str], sensors: bool, obstacles: bool) -> Node:
     fixed_frame = given["fixed_frame"] or ("" if frame == "map" else frame)
     name = "sensors.rviz" if sensors else "obstacles.rviz" if obstacles else "rosplat.rviz"
     config = given["config"] or str(Path(__file__).parents[1] / "config" / name)
-    # A configuration's names begin with a slash: they mean what the others have in their namespace.
+    # Topics in a configuration begin with a slash: remap them into the other nodes' namespace.
     shown = {"gaussians": given["topic"]} | {topic: topic for topic in SENSORS if sensors}
     shown |= {f"gaussians/{name}": f"{given['topic']}/{name}" for name in OBSTACLES if obstacles}
     return Node(

@@ -8,7 +8,7 @@ from rosplat_msgs.msg import ViewCamera
 
 
 def numbers(camera: ViewCamera) -> tuple[Any, ...]:
-    """A camera's, as Camera takes them, and Renderer.set_camera after the view's own."""
+    """A camera's numbers, as Camera takes them, and set_camera after a view and a sequence."""
     position, orientation = camera.pose.position, camera.pose.orientation
     return (
         (position.x, position.y, position.z),

@@ -17,9 +17,8 @@ from rviz_gaussian_plugin._config import OGRE_PLUGINS
 class Renderer(_offscreen.Renderer):  # type: ignore[misc]
     """An Ogre scene that holds one map and draws it into a texture.
 
-    One in a process; every call but `apply`, `set_order` and `read_order` from the thread that made
-    it. Needs an X display (`ensure_display`) with OpenGL 2.1; raises RuntimeError where it finds
-    none.
+    One in a process; all calls but `apply`, `set_order` and `read_order` must come from the thread
+    that made it. Needs an X display (`ensure_display`) with OpenGL 2.1, else raises RuntimeError.
     """
 
     def __init__(self) -> None:
@@ -39,7 +38,7 @@ def _media_folder() -> Path:
 
 @contextlib.contextmanager
 def ensure_display(width: int = 1920, height: int = 1080) -> Iterator[str]:
-    """Give the process an X display: the one in DISPLAY, else an Xvfb for as long as the block.
+    """Gives the process an X display: the one in DISPLAY, else an Xvfb for as long as the block.
 
     Raises RuntimeError where there is neither a display nor Xvfb.
     """
@@ -59,7 +58,7 @@ def ensure_display(width: int = 1920, height: int = 1080) -> Iterator[str]:
             f"{width}x{height}x24",
             "-nolisten",
             "tcp",
-            "-noreset",  # who comes while it resets, after its last client went, finds no display
+            "-noreset",  # clients that come during a reset, after the last one left, fail
         ],
         pass_fds=[write],
         stdout=subprocess.DEVNULL,

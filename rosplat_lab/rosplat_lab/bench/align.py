@@ -26,16 +26,16 @@ SIZE = 320, 180  # of pictures [px]
 # By how much starts are off: degrees, and per cent of the scene's radius.
 OFF, QUICK_OFF = ((1, 1.7), (2, 3.3), (3, 5), (5, 8.3), (8, 13.3), (12, 20)), ((3, 5),)
 STARTS, QUICK_STARTS = 100, 10
-NEAR_ENOUGH = 0.05, 0.1  # where a start ends well [degrees, per cent of the radius]
-NOISE = 0.01  # standard deviation
-COVERED = 0.1  # share of the picture
+NEAR_ENOUGH = 0.05, 0.1  # errors of a start that ended well [degrees, per cent of the radius]
+NOISE = 0.01  # standard deviation, of colours of 0 to 1
+COVERED = 0.1  # share of the picture that something hides
 PICTURES = ("plain", "covered")
 
 
 class _Ended(NamedTuple):
-    degrees: float  # off, as the next
-    percent: float
-    square: float  # of the error, by its covariance: as chi-squared's of 6, whose median is 5.3
+    degrees: float  # off
+    percent: float  # off, of the radius
+    square: float  # of the error by its covariance; chi-squared of 6 has a median of 5.3
     converged: bool
     seconds: float
     processor: float  # of all threads [s]
@@ -109,7 +109,7 @@ class _Scene:
 def _taken(
     colours: NDArray[np.float32], covered: bool, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """As a camera has them: with an exposure, noise and 8 bits, and maybe something in front."""
+    """A camera's picture: with an exposure, noise, 8 bits, and maybe something in front."""
     exposed = rng.uniform(0.8, 1.2) * colours + rng.uniform(-0.03, 0.03)
     if covered:
         height, width = (round(side * math.sqrt(COVERED)) for side in exposed.shape[:2])
@@ -128,11 +128,11 @@ def _direction(rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def _off(found: Alignment, camera: Camera) -> tuple[float, float, float]:
-    """Rotation [degrees] and translation [m], and the square of both by the covariance."""
+    """Errors of rotation [degrees] and translation [m]; their square by the covariance."""
     pose = np.linalg.inv(found.world_to_camera)
     along = pose[:3, 3] - camera.position
     *axis, cosine = from_matrices(pose[:3, :3] @ camera.camera_to_world[:3, :3].T)
-    turn = 2 * np.sign(cosine) * np.array(axis)  # of a small one
+    turn = 2 * np.sign(cosine) * np.array(axis)  # as a rotation vector: it is small
     error = np.concatenate([along, turn])
     square = math.inf
     if found.converged:

@@ -1,7 +1,7 @@
 """Other ways to sort, to hold ours against: shadygm/ROSplat's.
 
-None of them culls. Each is made for positions, float32 (n, 3), and raises ImportError or
-RuntimeError where it can't run; called with a SortView it returns the slots, farthest first.
+None of them culls. Each is made for positions, float32 (n, 3); making it raises ImportError or
+RuntimeError where it can't run. Called with a SortView, it returns the slots, farthest first.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def argsort(positions: Positions) -> Sort:
 
 
 def cupy_uploading(positions: Positions) -> Sort:
-    """The same by CuPy, with all positions sent to the GPU each time: its CupySorter, whose
-    renderer always asks for a forced update."""
+    """The same by CuPy, with all positions sent to the GPU each time: shadygm/ROSplat's
+    CupySorter, whose renderer always asks for a forced update."""
     import cupy
 
     cupy.cuda.Device().compute_capability  # noqa: B018  raises where there is none

@@ -1,7 +1,7 @@
 """A camera in a map: from a pose to its picture, beside calls of RenderView; what the warp costs.
 
-Publisher, camera and viewer are the processes that they are; poses come from here, one after the
-other's picture, or faster than pictures do.
+Publisher, camera and viewer are processes of their own. Poses come from here: each after the
+picture of the one before, or faster than pictures come.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from rosplat_tools.program.processes import Processes, quoted
 
 SIZES, QUICK_SIZES = (500_000,), (20_000,)
 PICTURES, QUICK_PICTURES = ((640, 360), (1280, 720)), ((160, 90),)
-COUNT = 360  # cameras, of which each is the next one's neighbour
-# Of a real camera; and of next to nothing, which is warped all the same.
+COUNT = 360  # cameras, each a neighbour of the next
+# Distortions: of a real camera, and next to none, which is warped all the same.
 BARREL, STRAIGHT = (-0.28, 0.07, 3e-4, -5e-4, 0.01), (1e-12,)
-OFF = 1 / 3  # between the pixels of the picture that is warped, and the lens's [px]
+OFF = 1 / 3  # between pixels of the picture to be warped and of the lens [px]
 SECONDS, QUICK_SECONDS = 5.0, 1.0  # in which pictures are counted
-EVERY = 0.005  # a pose while they are [s]
-PATIENCE = 120.0  # with a picture [s]
+EVERY = 0.005  # between poses meanwhile [s]
+PATIENCE = 120.0  # longest wait for a picture [s]
 
 
 def measure(plan: Plan) -> Iterator[Event]:
@@ -56,7 +56,7 @@ def measure(plan: Plan) -> Iterator[Event]:
 
 
 def _warped(name: str, picture: tuple[int, int]) -> Iterator[Event]:
-    """What is left between pictures drawn at once and the same ones warped."""
+    """PSNR of pictures that were warped, against the same pictures drawn directly."""
     splats = scenes.load(name)
     renderer = CpuRenderer(splats)
     for view in scenes.views(name):
@@ -76,7 +76,7 @@ def _warped(name: str, picture: tuple[int, int]) -> Iterator[Event]:
 
 def lens_of(camera: Camera) -> Lens:
     """A pinhole camera as a lens."""
-    centre = camera.cx - 0.5, camera.cy - 0.5  # of ROS, whose first pixel is at 0
+    centre = camera.cx - 0.5, camera.cy - 0.5  # for ROS, the first pixel's is 0
     return Lens(camera.width, camera.height, camera.fx, camera.fy, *centre)
 
 
@@ -101,7 +101,7 @@ def _filmed(
 
 
 class Set:
-    """A map's publisher, what takes pictures of the map, and a node that asks for them."""
+    """A map's publisher, a program that takes pictures of the map, a node that asks for them."""
 
     def __init__(self, plan: Plan, scene: str, by: str) -> None:
         self.budget: Budget = plan.budget
@@ -109,7 +109,7 @@ class Set:
         self.flood: Callable[[float], float] | None = None
         self.drawn_by = ""
         self.namespace = f"/bench_{uuid.uuid4().hex[:8]}"  # nobody else's
-        self.frame = self.namespace.strip("/")  # of the map; TF is everybody's
+        self.frame = self.namespace.strip("/")  # of the map; its own, as all share TF
         self.remap = ["--ros-args", "-r", f"__ns:={self.namespace}"]
         self.processes = Processes(plan.out / "log")
         self._scene, self._by = scene, by
@@ -138,7 +138,7 @@ class Set:
         rclpy.try_shutdown()
 
     def wait(self, until: Callable[[], object], again: Callable[[], object] | None = None) -> None:
-        """Hears until something holds. again: is done each second until then."""
+        """Runs callbacks until until() holds. again: called each second. Raises RuntimeError."""
         end = time.monotonic() + PATIENCE
         next_time = time.monotonic() + 1
         while not until():
@@ -151,7 +151,7 @@ class Set:
             self.processes.check()
 
     def spin_for(self, seconds: float) -> None:
-        """Hears for so long."""
+        """Runs callbacks for so long."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             self._executor.spin_once(left)
@@ -195,7 +195,7 @@ def _by_camera(
     film.drawn_by = "processor"
 
     def pose(number: int) -> int:
-        """Says where the camera is now; returns the time."""
+        """Publishes where the camera is now; returns the time. [ns]"""
         now = film.node.get_clock().now()
         place = to_pose(np.linalg.inv(cameras[number % len(cameras)].world_to_camera))
         if transforms:
@@ -228,7 +228,7 @@ def _by_camera(
     film.flood = flood
 
     def begin() -> None:
-        infos.publish(of_lens(lens))  # what begins may miss the first
+        infos.publish(of_lens(lens))  # a camera that begins may miss the first one
         pose(0)
 
     film.wait(lambda: stamps, again=begin)
@@ -275,4 +275,4 @@ WAYS: dict[str, Callable[[Set, list[Camera]], Shoot]] = {
     TF: partial(_by_camera, by_tf=True),
     "RenderView": _by_render_view,
 }
-"""What takes the pictures."""
+"""By name: starts what takes the pictures."""

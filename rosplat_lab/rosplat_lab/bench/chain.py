@@ -17,7 +17,7 @@ SIZES, QUICK_SIZES = (100_000, 500_000, 1_000_000), (50_000,)
 RATES = (30.0, 60.0)  # at which the camera moves [Hz]
 QUICK_RATES = (30.0,)
 SECONDS, QUICK_SECONDS = 6.0, 3.0  # watched
-SETTLING = 1.0  # in which what was received is uploaded, and not measured [s]
+SETTLING = 1.0  # not measured: the map is still uploaded [s]
 PICTURE, QUICK_PICTURE = (1920, 1080), (320, 180)
 
 

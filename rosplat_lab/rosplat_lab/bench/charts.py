@@ -20,7 +20,7 @@ Key = Callable[[Record], str]
 
 
 def parameter(*names: str) -> Key:
-    """What records have as these parameters, joined."""
+    """A key of records: the values of these parameters, joined."""
     return lambda record: ", ".join(
         str(record.parameters[name]) for name in names if name in record.parameters
     )
@@ -32,21 +32,21 @@ def at_rate(record: Record) -> str:
 
 
 def off(record: Record) -> float:
-    """By how much a start was. [degrees]"""
+    """How far off a start was. [degrees]"""
     return float(record.parameters["degrees"])
 
 
 def splats(record: Record) -> float:
-    """How many it was measured on."""
+    """How many splats the record was measured on."""
     return record.splats
 
 
 @dataclass(frozen=True)
 class Chart:
-    """Records of one name as lines over the number of splats, or what else `over` says.
+    """Records of one name as lines over the number of splats, or over another `over`.
 
-    only: of those, which. series: what makes a line; panel: what makes a chart beside it, all in
-    one by default. band: shade from there to the 95th percentile.
+    only: which of the records. series: the line of a record. panel: the panel of a record, one for
+    all by default. band: shade from the line to the 95th percentile.
     """
 
     file: str
@@ -132,13 +132,13 @@ CHARTS = (
 
 
 def of_chart(chart: Chart, records: Sequence[Record]) -> list[Record]:
-    """Those that the chart shows."""
+    """The records that the chart shows."""
     mine = [r for r in records if (r.subject, r.name) == (chart.subject, chart.name)]
     return [record for record in mine if chart.only(record)]
 
 
 def _family(record: Record) -> str:
-    """What tells scenes of one size apart: no name for the garden, and generated ones' kind."""
+    """Tells scenes of one size apart: none for the garden, a generated kind, or a file's name."""
     if record.scene.startswith(PROCEDURAL):
         return ""
     return record.scene.partition(":")[0] if is_generated(record.scene) else Path(record.scene).stem
@@ -186,7 +186,7 @@ def figure(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> F
             ax.xaxis.set_major_formatter(mpl.ticker.EngFormatter(sep=""))
             ax.xaxis.set_minor_formatter(mpl.ticker.NullFormatter())
     if not chart.log:
-        axes[0].set_ylim(0)  # once all is drawn: the panels share it
+        axes[0].set_ylim(0)  # after all is drawn: the panels share it
     axes[0].set_ylabel(chart.y)
     handles = {
         label: handle
@@ -214,7 +214,7 @@ def _line(
 
 
 def colors(count: int) -> list[tuple[float, ...]]:
-    """Of so many lines."""
+    """Colours of so many lines."""
     if count <= 10:
         return [mpl.colormaps["tab10"](index) for index in range(count)]
     return [mpl.colormaps["turbo"](place) for place in np.linspace(0.05, 0.95, count)]

@@ -21,11 +21,11 @@ from rviz_gaussian_plugin.offscreen import Renderer
 SIZES, QUICK_SIZES = (5_000_000,), (20_000,)
 PICTURE, QUICK_PICTURE = (1920, 1080), (320, 180)
 SUBMAPS = 50
-DRIFT, TURN = 0.02, 0.01  # that a closure takes back, of each submap's pose [m], [rad]
+DRIFT, TURN = 0.02, 0.01  # standard deviations of the poses before a closure [m], [rad]
 
 
 def measure(plan: Plan) -> Iterator[Event]:
-    """Times to take a closure, and until all is drawn where it belongs."""
+    """Times to apply a closure, and until a picture shows all submaps in place."""
     sizes = plan.sizes or ((QUICK_SIZES if plan.quick else SIZES) if not plan.scenes else ())
     names = scenes.names(sizes, plan.scenes)
     for number, name in enumerate(names):
@@ -76,7 +76,7 @@ def _scene(name: str, picture: tuple[int, int], budget: Budget) -> Iterator[Even
 
 
 def _insert(renderer: Renderer, splats: Splats) -> int:
-    """A map of submaps, each of neighbours in space; returns its revision."""
+    """Inserts a map of submaps, each of neighbours in space; returns its revision."""
     revision, first = 1, 0
     renderer.apply(
         maps.REPLACE, 0, 0, _NO_SLOTS, 0, splats.antialiased, (0.0, 0.0, 0.0),

@@ -166,7 +166,7 @@ def _measure(arguments: list[str], console: Console) -> int:
 
 
 def circumstances(program: str, arguments: list[str]) -> Circumstances:
-    """Of a run of a program with these arguments."""
+    """The circumstances of a program's run with these arguments."""
     gpu, driver = machine.nvidia_gpu()
     return Circumstances(
         machine=machine.machine(),
@@ -260,7 +260,7 @@ class Recorder:
 
 
 def follow(events: Iterator[Event], recorder: Recorder, name: str, console: Console) -> None:
-    """Shows what happens while it does."""
+    """Records the measurements of events, and shows what is being done."""
     columns = (
         SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
     )  # fmt: skip
@@ -278,7 +278,7 @@ def follow(events: Iterator[Event], recorder: Recorder, name: str, console: Cons
 
 
 def last_of_each(records: list[Record]) -> list[Record]:
-    """Of records that differ in the number of splats alone, the last."""
+    """The last of each set of records that differ in the number of splats alone."""
     found = {(record.name, record.scene, *record.parameters.items()): record for record in records}
     return list(found.values())
 

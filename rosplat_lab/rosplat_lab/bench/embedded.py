@@ -20,14 +20,14 @@ WARM_UP = 0.4  # of drawing, until a graphics card that had nothing to do has it
 
 
 def open_renderer() -> Renderer:
-    """The one of this process. Raises RuntimeError where it can't draw."""
+    """Makes the process's only renderer. Raises RuntimeError where it can't draw."""
     from rviz_gaussian_plugin.offscreen import Renderer
 
     return Renderer()
 
 
 def hardware() -> Iterator[Event]:
-    """One measurement that says what draws."""
+    """One measurement, whose gpu says what draws."""
     yield Measurement.of("", "", 0, gpu=open_renderer().renderer_info)
 
 
@@ -63,9 +63,9 @@ class NumberedView:
 
 
 def changed(values: dict[str, Any]) -> RenderSettings:
-    """Settings with these values, enumerations by name, and all others as they are by default.
+    """The default settings but for these values, enumerations by name.
 
-    Raises AttributeError for one that there is not.
+    Raises AttributeError for an unknown setting.
     """
     settings = RenderSettings()
     for name, value in values.items():

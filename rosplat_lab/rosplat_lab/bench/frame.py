@@ -37,8 +37,8 @@ SOFTWARE_VARIANTS = ("default", "translucent")  # where no GPU draws
 
 @dataclass(frozen=True)
 class Variant:
-    """What is drawn otherwise: settings, fields of RenderSettings; a translucent box; the scene as
-    several maps through each other."""
+    """How drawing differs from the default: settings, fields of RenderSettings; a translucent box;
+    the scene as several interleaved maps."""
 
     settings: dict[str, Any] = field(default_factory=dict)
     translucent: bool = False
@@ -46,7 +46,7 @@ class Variant:
 
 
 def variants() -> dict[str, Variant]:
-    """Of the display's renderer, by name: each of its rasterisers is one."""
+    """Variants of the display's renderer, by name. Each of its rasterisers is one."""
     from rosplat_core.rendering import Rasterizer
 
     rasterizers = [name for name in Rasterizer.__members__ if name != "AUTO"]
@@ -62,8 +62,8 @@ def variants() -> dict[str, Variant]:
 
 @dataclass(frozen=True)
 class Order:
-    """Whose order frames have. backend: who sorts, as `--backends` names it. given: a sorter's, for
-    each camera; waits: sorted in the frame."""
+    """Whose order frames have. backend: what sorts, as `--backends` names it. given: each camera
+    gets a sorter's order. waits: the frame sorts and waits for its order."""
 
     backend: str
     settings: dict[str, Any] = field(default_factory=dict)
@@ -76,7 +76,7 @@ ORDERS = {
     # What a frame costs beside sorting.
     "given": Order("native", {"order": "SIDECAR"}, given=True),
     "sorted in the frame, CPU": Order(live.BUILT_IN, {"order": "BUILT_IN"}, waits=True),
-    # For a camera of some frames ago.
+    # The order is that of a camera some frames ago.
     "sorted beside it, CPU": Order(live.BUILT_IN, {"order": "BUILT_IN"}),
     ON_CARD: Order(live.GPU, {"order": "GPU"}),
 }
@@ -84,7 +84,7 @@ ORDERS = {
 Look = tuple[tuple[int, int], str]
 """A size of pictures, and a view."""
 Truths = dict[Look, truths.Truth]
-"""Of the first camera of a look."""
+"""The truth of the first camera of each look."""
 
 
 def measure(plan: Plan) -> Iterator[Event]:
@@ -114,7 +114,7 @@ def measure(plan: Plan) -> Iterator[Event]:
             chosen = plan.variants or (*usual, *RENDERERS)
             ours = [variant for variant in chosen if variant in variants()]
             jobs = []
-            # Where walls hide much, beside the garden, where little does.
+            # In rooms walls hide much; in the garden little is hidden.
             rooms = () if plan.quick or plan.sizes else (f"{ROOMS}{max(sizes)}",)
             for name in scenes.names(plan.sizes or sizes, plan.scenes or rooms):
                 looks = _looks(plan, name, pictures)
@@ -135,7 +135,7 @@ def measure(plan: Plan) -> Iterator[Event]:
 
 
 def _part_of(events: Iterator[Event], number: int, jobs: int) -> Iterator[Event]:
-    """Events of one of several jobs, of which each says how much of its own is done."""
+    """Events of one of several jobs, their shares of the job turned into shares of all jobs."""
     for event in events:
         if isinstance(event, Doing):
             event = replace(event, part=(number + event.part) / jobs)
@@ -143,7 +143,7 @@ def _part_of(events: Iterator[Event], number: int, jobs: int) -> Iterator[Event]
 
 
 def _looks(plan: Plan, name: str, pictures: Sequence[tuple[int, int]]) -> list[Look]:
-    """What a scene is measured with."""
+    """The looks that a scene is measured with."""
     views = scenes.views(name)
     if plan.quick:
         return [(pictures[0], views[0])]
@@ -205,11 +205,11 @@ def _beside(
             yield from _memory(
                 {"GPU memory of the map": memory[0], "GPU memory": memory[1]}, labels
             )
-        del renderer, frame  # the next one's memory is its own
+        del renderer, frame  # the next renderer's memory is measured alone
 
 
 def _memory(used: dict[str, int], labels: dict[str, Any]) -> Iterator[Measurement]:
-    """Bytes that a map takes, by what takes them: all of them, and for each splat."""
+    """The bytes of each kind of memory that a map takes: in all, and for each splat."""
     for what, count in used.items():
         yield Measurement.of(what, "MB", count / 1e6, **labels)
         yield Measurement.of(f"{what} a splat", "bytes", count / labels["splats"], **labels)
@@ -241,7 +241,7 @@ def _scene(
         if any(order.given for order in kinds.values()):
             orders = truths.orders(splats, cameras)
         bench.view.look(cameras[0])
-        bench.view.draw(sort_now=True)  # which uploads all that waits
+        bench.view.draw(sort_now=True)  # uploads all that waits
         for variant in chosen:
             drawn = variants()[variant]
             bench.put_box(place(splats) if drawn.translucent else None)
@@ -261,7 +261,7 @@ def _scene(
                 found = truths.psnr(bench.exact(cameras[0]), told[look])
                 yield Measurement.of("PSNR", "dB", found, **labels)
     if maps > 1:
-        return  # the memory of one map is what is compared
+        return  # only the memory of one map is compared
     bench.put_box(None)
     report = bench.view.draw()
     del splats, orders
@@ -277,7 +277,7 @@ class Bench(renderers.DisplayRenderer):
     """A renderer with a map, and one view of it, to time frames of."""
 
     def put_box(self, place: Place | None) -> None:
-        """A translucent box in the middle of a place, as wide as its radius, or none any more."""
+        """Puts a translucent box in the middle of a place, as wide as its radius; None: no box."""
         if place:
             self.renderer.set_box(tuple(place.centre.tolist()), (place.radius,) * 3, 0.5)
         else:

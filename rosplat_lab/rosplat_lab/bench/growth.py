@@ -125,13 +125,13 @@ class SortingThread:
         self._thread.start()
 
     def ask(self, count: int, number: int, camera: Camera) -> None:
-        """For the order of the first `count` splats; a question that still waits is forgotten."""
+        """Asks for an order of the first `count` splats. A question that still waits is dropped."""
         with self._wake:
             self._question = (count, number, camera)
             self._wake.notify()
 
     def close(self) -> None:
-        """Ends the thread after the sort it is at."""
+        """Ends the thread after its current sort."""
         with self._wake:
             self._closing = True
             self._wake.notify()
@@ -156,7 +156,7 @@ class SortingThread:
 
 
 def _report(size: int, backend: str, drawing: str, frames: list[Frame]) -> Iterator[Measurement]:
-    """In POINTS steps of the number of splats."""
+    """Figures of frames, in POINTS steps of the number of splats."""
     step = max(1, size // POINTS)
     for low in range(0, size, step):
         seen = [frame for frame in frames if low < frame.splats <= low + step]

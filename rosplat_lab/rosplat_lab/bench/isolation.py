@@ -12,7 +12,7 @@ from rosplat_lab.bench.records import Event
 
 
 def isolated(work: Callable[..., Iterator[Event]], *arguments: Any) -> Iterator[Event]:
-    """Yields what work(*arguments) yields there. Raises RuntimeError where it raised or died."""
+    """Yields what work(*arguments) yields. Raises RuntimeError if its process raises or dies."""
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe(duplex=False)
     process = context.Process(target=_run, args=(there, work, arguments), daemon=True)
@@ -46,7 +46,7 @@ def _run(
     except KeyboardInterrupt:
         pass
     except Exception as error:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # who hears of it ends this at once
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the parent, when told, ends this at once
         there.send(f"{type(error).__name__}: {error}")
     finally:
         there.close()

@@ -32,7 +32,7 @@ PATH, QUICK_PATH = 30, 4  # pictures
 POPPING = ("2px", "4px", "8px")
 STEPS = 8  # cameras that take turns
 STEP = 0.005  # from one picture to the next [m]
-NEAR = 0.5  # away, to what the camera comes nearer by STEP [m]
+NEAR = 0.5  # distance of what the camera comes nearer by STEP [m]
 
 
 DRAWERS: dict[str, Callable[[], Ours]] = {"processor": CpuRenderer, "card": DisplayRenderer}
@@ -52,7 +52,7 @@ def measure(plan: Plan) -> Iterator[Event]:
 
 @contextmanager
 def _drawers(plan: Plan) -> Iterator[Sequence[str]]:
-    """Those that there are, or of these those that are asked for, with a display to draw on."""
+    """The drawers that this machine has, or those asked for, with a display to draw on."""
     from rviz_gaussian_plugin.offscreen import ensure_display
 
     if unknown := set(plan.variants) - DRAWERS.keys():
@@ -78,7 +78,7 @@ def _scene(
         return Measurement.of(what, unit, samples, name, len(splats), drawer.device, **parameters)
 
     camera = scenes.overview(splats, *picture, 1)[0]
-    _show(drawer, camera, "full")  # which has the map where it is drawn
+    _show(drawer, camera, "full")  # uploads the map
     yield of("build", "s per million splats", 1e3 * milliseconds(drawer.merge) / len(splats))
     held = drawer.merge()
     if "nodes" in held:
@@ -127,8 +127,8 @@ def _picture(drawer: Ours, camera: Camera, detail: str) -> Array:
 
 
 def _fades(drawer: Ours, camera: Camera, length: int) -> dict[str, list[Array]]:
-    """By how much pixels change from picture to picture by the cut alone [/255]: the camera rests,
-    and errors grow as those of what is NEAR do along the path."""
+    """How much pixels change from picture to picture by the cut alone [/255]. The camera rests, and
+    the error grows as that of something NEAR would along the path."""
 
     def pictures(detail: str) -> Iterator[Array]:
         for index in range(length):

@@ -1,4 +1,4 @@
-"""Two machines in one, as to network, memory and displays, and a line of known speed between them.
+"""Two emulated machines (network, /dev/shm, displays) and a line of known speed between them.
 
 Network namespaces of Linux; nothing outside them changes. Knows no ROS.
 """
@@ -15,8 +15,8 @@ from types import TracebackType
 
 ENDS = ("here", "there")
 TOOLS = ("ip", "tc")
-BURST = "256kb"  # that leaves at once; more than a datagram of 64 KiB
-LATENCY = "100ms"  # that a switch would keep before it drops
+BURST = "256kb"  # most that leaves at once; more than a datagram of 64 KiB
+LATENCY = "100ms"  # longest that packets queue before they are dropped, as in a switch
 SOCKETS = "/tmp/.X11-unix"  # of X servers, by the numbers of their displays
 
 
@@ -80,8 +80,8 @@ class Line:
     def at(self, end: str, command: Sequence[str]) -> list[str]:
         """The command that runs a command at one of ENDS, which has a /dev/shm of its own.
 
-        And no X display yet: an Xvfb in a network namespace takes a number that is in use outside
-        of it, and with it the socket in SOCKETS of the server there.
+        It has no X display yet, but SOCKETS of its own: an Xvfb in a network namespace would take a
+        number in use outside of the namespace, and the socket of the server there.
         """
         name = self._names[end]
         own = (
@@ -98,7 +98,7 @@ class Line:
             self._route(name)
 
     def _route(self, name: str) -> None:
-        """Where DDS looks for others."""
+        """Adds the multicast route by which DDS looks for others."""
         _run("ip", "-netns", name, "route", "add", "224.0.0.0/4", "dev", name)
 
     def namespace(self, end: str) -> str:
@@ -106,17 +106,17 @@ class Line:
         return self._names[end]
 
     def memory(self, end: str) -> Path:
-        """What is /dev/shm at one of ENDS."""
+        """The folder that is /dev/shm at one of ENDS."""
         return _memory(self._names[end])
 
     def received(self, end: str) -> int:
-        """What has come over the line to one of ENDS. [bytes]"""
+        """Bytes that have come over the line to one of ENDS."""
         path = f"/sys/class/net/{self._names[end]}/statistics/rx_bytes"
         return int(_run("ip", "netns", "exec", self._names[end], "cat", path))
 
 
 def _memory(name: str) -> Path:
-    """What is /dev/shm on that machine."""
+    """The folder that is /dev/shm on that machine."""
     return Path("/dev/shm") / name
 
 

@@ -1,4 +1,4 @@
-"""Publisher, sorter and viewer as the processes that they are, watched from outside."""
+"""Runs publisher, sorter and viewer as processes, and watches them from outside."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ def watch(
     line: Line | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> Watched:
-    """Runs the three until `until`, which is asked now and then, says that it has seen enough.
+    """Runs the three until `until`, called now and then, returns that it has seen enough.
 
     publisher: an executable of rosplat_tools and its arguments. backend: of the sorter, or
-    BUILT_IN, or GPU. rate: at which the camera turns [Hz]. begin: called with the namespace when
-    all three run. line: at whose far end the viewer runs, the others at the near one. Raises
-    ProcessError where one of them ends by itself.
+    BUILT_IN, GPU or PROCESSOR. rate: at which the camera turns [Hz]. begin: called with the
+    namespace when all three run. line: the viewer runs at its far end, the others at the near one.
+    Raises ProcessError if one of them ends by itself.
     """
     namespace = f"/bench_{uuid.uuid4().hex[:8]}"  # nobody else's
     remap = ["--ros-args", "-r", f"__ns:={namespace}"]
@@ -132,23 +132,23 @@ def order_source(backend: str) -> str:
 
 
 def is_answered(frame: Frame) -> bool:
-    """Whether it was sorted for, while the map is complete."""
+    """Whether the frame shows a complete map, and an order has come or is fresh."""
     return bool(frame["complete"] and (frame["arrivals"] or frame["fresh"]))
 
 
 def for_seconds(seconds: float) -> Callable[[Watched], bool]:
-    """Until so long after the first order of a complete map; raises TimeoutError without one."""
+    """`until`: so long after a complete map's first order; raises TimeoutError without one."""
     return _after(is_answered, seconds)
 
 
 def is_settled(frame: Frame) -> bool:
-    """Whether it shows a complete map by an order of all of it."""
+    """Whether the frame shows a complete map by an order of all of it."""
     known = (arrival["revision"] >= frame["revision"] for arrival in frame["arrivals"])
     return bool(frame["complete"] and (frame["fresh"] or any(known)))
 
 
 def until_settled() -> Callable[[Watched], bool]:
-    """Until a picture shows a complete map, sorted for it; raises TimeoutError where none does."""
+    """`until`: a picture shows a complete map, sorted for it; raises TimeoutError if none does."""
     return _after(is_settled, 0.0)
 
 
@@ -168,9 +168,9 @@ def _after(reached: Callable[[Frame], bool], seconds: float) -> Callable[[Watche
 
 
 def backends(asked: Sequence[str], *own: str) -> tuple[list[str], list[records.Skipped]]:
-    """Those that run here, and why others don't; own: the viewer's, of BUILT_IN, GPU, PROCESSOR.
+    """Backends that run here, and why others don't; own: the viewer's BUILT_IN, GPU, PROCESSOR.
 
-    What needs a GPU is there where an NVIDIA one is, or where it is asked for by name. Raises
+    A backend that needs a GPU runs with an NVIDIA one, or where it is asked for by name. Raises
     SceneError for an unknown name.
     """
     names = list(asked or BACKENDS)

@@ -18,14 +18,14 @@ BUDGET, QUICK_BUDGET = Budget(200, 200, 8.0), Budget(3, 3, 1.0)
 FRAME_RATE = 30  # rviz2's own default [Hz]
 PERIOD = 0.016  # between moves of the mouse [s]
 SPEED = 105  # at which an Orbit view turns by 30 degrees a second [px/s]
-SWEEP = 200  # there, and back again [px]
+SWEEP = 200  # way of the mouse, there and back again [px]
 ROUNDS = 30  # of these, two minutes
-OF_LATE = 2.0  # what the Status of the display looks back on [s]
+OF_LATE = 2.0  # time that the display's Status looks back on [s]
 GRID = {"Class": "rviz_default_plugins/Grid", "Name": "Grid", "Enabled": False, "Value": False}
 
 
 def measure(rviz: DrivenRviz, budget: Budget, labels: dict[str, Any]) -> Iterator[Measurement]:
-    """Of a view: frames, how old the map's picture is and how far its camera off, processor time.
+    """A view's frames, the age of the map's picture, how far its camera is off, processor time.
 
     With and without the display that the labels name, with and without the GRID beside it.
     """
@@ -81,10 +81,10 @@ def drag(rviz: DrivenRviz) -> Iterator[None]:
 
 
 def processor_times(pid: int) -> dict[str, float]:
-    """Of the threads of an rviz2 that draw, so far, by what they are for. [s]"""
+    """Processor time so far of an rviz2's threads that draw, by their purpose. [s]"""
     found: dict[str, float] = {}
     for task in Path(f"/proc/{pid}/task").iterdir():
-        with contextlib.suppress(OSError):  # it has ended
+        with contextlib.suppress(OSError):  # the thread has ended
             name, _, values = (task / "stat").read_text().partition("(")[2].rpartition(")")
             nice = int(values.split()[16])
             kind = (
@@ -100,7 +100,7 @@ def processor_times(pid: int) -> dict[str, float]:
 
 
 def _found(pattern: str, status: str) -> list[float]:
-    """What a display says of the map's picture; empty for those that don't say so. [ms]"""
+    """Numbers in a display's Status on the map's picture, empty if there are none. [ms]"""
     return [float(number) for number in re.findall(pattern, status)]
 
 

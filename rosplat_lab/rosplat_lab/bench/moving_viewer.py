@@ -30,7 +30,7 @@ IDLE = 0.0005  # between looks at whether there is something to draw [s]
 
 
 class MovingViewer(Viewer):
-    """Turns the camera, draws, and remembers when what arrived."""
+    """A viewer that remembers when batches and orders arrived."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -76,7 +76,7 @@ def watch(viewer: MovingViewer, trace: TextIO) -> None:
     """Draws until it is told to end."""
     finish = gl_finish()
     looked: dict[int, float] = {}  # when each camera was posed
-    unseen: list[int] = []  # cameras that no picture knows yet
+    unseen: list[int] = []  # cameras that no order has answered yet
     orbit: OrbitCamera | None = None
     camera, view_id, due, turned = ViewCamera(), "", 0.0, False
     stale, revision = True, 0
@@ -110,7 +110,7 @@ def watch(viewer: MovingViewer, trace: TextIO) -> None:
         finish()
         stale = not report["order_fresh"]
         ended = time.time()
-        # An order answers a camera and those before it, which were never answered.
+        # An order also counts for earlier cameras, which nothing answers any more.
         answered = max((int(arrival["sequence"]) for arrival in arrivals), default=0)
         if report["order_fresh"]:
             answered = camera.sequence

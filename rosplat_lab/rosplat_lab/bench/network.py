@@ -21,7 +21,7 @@ RATES, QUICK_RATES = (30.0, 60.0), (30.0,)  # at which the camera moves [Hz]
 SECONDS, QUICK_SECONDS = 10.0, 2.0  # watched
 PICTURE = (320, 180)  # small: what counts is that its order is there
 RATE = "1gbit"
-TRANSPORTS: dict[str, dict[str, str]] = {  # and the environment that asks for them
+TRANSPORTS: dict[str, dict[str, str]] = {  # with the environment that asks for each
     "UDP": {},
     "TCP": {"FASTDDS_BUILTIN_TRANSPORTS": "LARGE_DATA"},
 }
@@ -53,7 +53,7 @@ def _report(
     plan: Plan, line: Line, size: int, backend: str, transport: str, rate: float
 ) -> Iterator[Event]:
     begun = live.for_seconds(0.0)
-    marks: list[tuple[float, int]] = []  # when how many bytes had come to the viewer
+    marks: list[tuple[float, int]] = []  # times, and bytes that had come to the viewer
 
     def watched(seen: live.Watched) -> bool:
         if not begun(seen):

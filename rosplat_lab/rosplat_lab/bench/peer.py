@@ -47,7 +47,7 @@ class Orders:
         self._buffer: OrderBuffer | None = None
 
     def make(self, splats: Splats, header: Header) -> SplatOrder:
-        """As many slots."""
+        """An order of as many slots as there are splats."""
         count = len(splats)
         if len(self._slots) != count:
             self._slots = np.arange(count, dtype=np.uint32)
@@ -65,7 +65,7 @@ class Orders:
         return message
 
     def read(self, message: SplatOrder) -> NDArray[np.uint32]:
-        """Its slots."""
+        """The slots of an order."""
         return self._reader.read(message)
 
     def close(self) -> None:
@@ -115,7 +115,7 @@ def read_poses(message: PoseArray) -> NDArray[np.float32]:
 
 
 def make_markers(splats: Splats, header: Header) -> Any:
-    """What rviz knows by itself: an ellipsoid for each splat, without harmonics."""
+    """What rviz draws without a plugin: an ellipsoid for each splat, without harmonics."""
     message = MarkerArray()
     rows = zip(
         splats.positions.tolist(), splats.orientations.tolist(), splats.scales.tolist(),
@@ -163,7 +163,7 @@ QUESTIONS = "questions"
 
 
 def topic(kind: str) -> str:
-    """Where answers of a kind go."""
+    """The topic of answers of a kind."""
     return kind.replace(" ", "_")
 
 

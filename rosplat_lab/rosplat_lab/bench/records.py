@@ -42,7 +42,7 @@ class Measurement:
         cls, name: str, unit: str, samples: ArrayLike, scene: str = "", splats: int = 0,
         gpu: str = "", **parameters: Parameter,
     ) -> Measurement:  # fmt: skip
-        """Of one sample or several. Raises ValueError for none, or what is not finite."""
+        """A measurement of one sample or several. Raises ValueError for none, or one not finite."""
         values = np.atleast_1d(np.asarray(samples, np.float64))
         if not values.size or not np.isfinite(values).all():
             raise ValueError(f"{name}: expected one or more finite samples, got {values}")
@@ -166,7 +166,7 @@ class Budget:
     seconds: float
 
     def spend(self, run: Callable[[int], float], warm_up: float = 0.0) -> list[float]:
-        """What run(0), run(1), ... return, after some that don't count: one, or those of a time."""
+        """What run(0), run(1), ... return, after uncounted runs for warm_up [s], one at least."""
         end, runs = perf_counter() + warm_up, 0
         while not runs or perf_counter() < end:
             run(runs)

@@ -1,6 +1,6 @@
-"""What draws maps to be measured: the display's renderer, the processor's rasteriser, and others.
+"""Renderers to be measured: the display's, the processor's rasteriser, and others.
 
-Renderers to hold beside the display's own have a class each, and rows in RENDERERS.
+Each renderer to hold beside the display's has a class, and a row in RENDERERS.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Renderer(Protocol):
     """Holds a map and draws it. Making it raises ImportError or RuntimeError where it can't."""
 
     device: str
-    """What draws."""
+    """The name of what draws."""
 
     def show(self, splats: Splats) -> None:
         """Takes a map. Raises ValueError for one that it can't draw."""
@@ -37,7 +37,7 @@ class Renderer(Protocol):
         """Sorts and draws; returns when the picture is whole."""
 
     def picture(self) -> NDArray[np.float32]:
-        """The one drawn last: premultiplied RGB over black, (height, width, 3)."""
+        """The picture drawn last: premultiplied RGB over black, (height, width, 3)."""
 
     def graphics_memory(self) -> tuple[int, int] | None:
         """GPU memory of the map, and the most so far with what drawing took; None where there is
@@ -45,21 +45,21 @@ class Renderer(Protocol):
 
 
 class Ours(Renderer, Protocol):
-    """One with RenderSettings, and levels of detail."""
+    """A renderer of this project, with RenderSettings and levels of detail."""
 
     report: dict[str, Any]
     """Of the last picture: `splats` drawn, the `error` of their levels [px], and more."""
 
     @property
     def renderer(self) -> Any:
-        """What takes batches."""
+        """The object that takes batches."""
 
     def use(self, values: dict[str, Any]) -> None:
-        """These settings, enumerations by name, and all others as they are by default."""
+        """Sets these settings, enumerations by name, and all others to their defaults."""
 
     def merge(self) -> dict[str, float]:
-        """Has the levels hold all of the map; the `memory` that they take [bytes], and how many
-        `nodes` they have where that is known."""
+        """Brings the levels up to date with the map. Returns the `memory` that they take [bytes],
+        and their number of `nodes` where it is known."""
 
 
 class CpuRenderer:
@@ -94,7 +94,7 @@ class CpuRenderer:
 
 
 class DisplayRenderer:
-    """The display's, one in a process: by OpenGL, or by the processor in its own thread.
+    """The display's renderer, one in a process: by OpenGL, or by the processor in its own thread.
 
     Making it raises RuntimeError where it can't draw.
     """
@@ -113,13 +113,13 @@ class DisplayRenderer:
     def show(self, splats: Splats) -> None:
         rendering.insert_all(self.renderer, splats)
         self.use({})
-        self._draw_small()  # which uploads all that waits
+        self._draw_small()  # uploads all that waits
 
     def look(self, camera: Camera) -> None:
         self.number, self._sorts = self.view.look(camera), True
 
     def give(self, order: NDArray[np.uint32]) -> None:
-        """A sorter's order, to be drawn from where it looks."""
+        """Takes a sorter's order for the current camera."""
         self._sorts = False
         self.view.give(self.number, self.renderer.revision, order)
 
@@ -132,8 +132,8 @@ class DisplayRenderer:
         return colour[..., :3]
 
     def merge(self) -> dict[str, float]:
-        """Includes what brings the nodes to a card. Another view than that of the pictures keeps
-        the levels, which go when no view wants them."""
+        """Includes the upload of the nodes to a card. The small view keeps the levels, which go
+        when no view wants them."""
         self.renderer.settings.detail = "1px"
         return {"memory": self._draw_small()["levels_bytes"]}
 

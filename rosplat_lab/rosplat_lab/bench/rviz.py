@@ -50,7 +50,7 @@ Display = dict[str, Any]
 
 
 def measure(plan: Plan) -> Iterator[Event]:
-    """Frame times by scene, view, motion of the camera and display; PSNR of what it stands on."""
+    """Frame times by scene, view, motion of the camera and display; PSNR where it stands."""
     displays = [OURS]
     for path in plan.displays:
         displays += read_displays(path)
@@ -78,7 +78,7 @@ def _picture(plan: Plan) -> tuple[int, int]:
 
 
 def read_displays(path: Path) -> list[Display]:
-    """Those of a YAML file: a list, as `Displays` of an .rviz file. Raises SceneError."""
+    """The displays of a YAML file: a list, as `Displays` of an .rviz file. Raises SceneError."""
     try:
         entries = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -106,14 +106,14 @@ class Orbit:
 
     @classmethod
     def of(cls, camera: Camera, distance: float) -> Orbit:
-        """Around what lies so far ahead of a camera that stands upright."""
+        """An orbit around the point so far ahead of a camera that stands upright."""
         ahead = camera.world_to_camera[2, :3]
         eye = -camera.world_to_camera[:3, :3].T @ camera.world_to_camera[:3, 3]
         pitch, yaw = math.asin(-ahead[2]), math.atan2(-ahead[1], -ahead[0])
         return cls(eye + distance * ahead, distance, camera.near, pitch, yaw)
 
     def view(self) -> dict[str, Any]:
-        """As the view in an .rviz file."""
+        """The orbit as the view in an .rviz file."""
         x, y, z = map(float, self.focus)
         return {
             "Class": "rviz_default_plugins/Orbit", "Distance": self.distance,
@@ -122,7 +122,7 @@ class Orbit:
         }  # fmt: skip
 
     def camera(self, width: int, height: int) -> Camera:
-        """As the reference has it."""
+        """The orbit as the reference's camera."""
         flat = math.cos(self.pitch)
         outward = [
             flat * math.cos(self.yaw), flat * math.sin(self.yaw), math.sin(self.pitch)
@@ -207,13 +207,13 @@ class Bench:
         self._references: dict[str, NDArray[np.float64]] = {}
 
     def draw_references(self) -> None:
-        """What each view should show, on black."""
+        """Draws what each view should show, on black."""
         for view, orbit in self._orbits.items():
             picture = render(self._splats, orbit.camera(*self._picture))
             self._references[view] = np.clip(picture.rgba[..., :3], 0, 1)
 
     def display(self, display: Display) -> Iterator[Event]:
-        """All of one. Raises Refused, TimeoutError, ProcessError."""
+        """All measurements of a display. Raises Refused, TimeoutError, ProcessError."""
         with Processes(self._processes.folder) as own:
             rviz = DrivenRviz(own, configuration(display, self._orbits), **UNSYNCHRONISED)
             if not rviz.properties(display["Name"]):
@@ -221,7 +221,7 @@ class Bench:
             self._resize(rviz)
             self._wait_until_shown(rviz, display["Name"])
             put(rviz, display)
-            self._watch(rviz, 0.0, self._settling)  # what was received is uploaded
+            self._watch(rviz, 0.0, self._settling)  # until the map is uploaded
             for view in self._orbits:
                 yield from self._view(rviz, display["Name"], view)
             if "llvmpipe" in self._watch(rviz, 0.0, self._settling)["renderer"]:
@@ -236,7 +236,7 @@ class Bench:
             time.sleep(0.2)
 
     def _wait_until_shown(self, rviz: DrivenRviz, name: str) -> None:
-        """Until its Status says of how many splats it is."""
+        """Waits until the Status of the display counts the scene's splats."""
         deadline = time.monotonic() + LOADING
         count = re.compile(rf"\b{len(self._splats)}\b")
         while True:
@@ -273,7 +273,7 @@ class Bench:
             seen = self._watch(rviz, turn, self._budget)
             labels["gpu"] = seen["renderer"]
             yield Measurement.of("frame", "ms", seen["frame"], **labels, camera=camera)
-            if "llvmpipe" not in seen["renderer"]:  # its clock says nothing of what it defers
+            if "llvmpipe" not in seen["renderer"]:  # llvmpipe's clock misses what it defers
                 yield Measurement.of("drawing", "ms", seen["drawing"], **labels, camera=camera)
             if not turn and view in self._references:
                 found = metrics.psnr(self._photograph(rviz), self._references[view])
@@ -282,7 +282,7 @@ class Bench:
     def _watch(self, rviz: DrivenRviz, turn: float, budget: Budget) -> Any:
         rviz.ask("start watch", turn=turn)
         time.sleep(budget.seconds)
-        while rviz.ask("frames") <= budget.least:  # their number and one, for the time between them
+        while rviz.ask("frames") <= budget.least:  # one more: times lie between two
             time.sleep(0.1)
         return rviz.ask("stop watch")
 
@@ -316,7 +316,7 @@ def configuration(display: Display, orbits: dict[str, Orbit]) -> str:
 
 
 def put(rviz: DrivenRviz, wanted: Display, root: str = "displays") -> None:
-    """Sets what differs: a display may have clamped a value before it knew its scene."""
+    """Sets properties that differ: a display may clamp values before it knows its scene."""
     above = [wanted["Name"]] if root == "displays" else []
     found = rviz.properties(*above, root=root)
     for path, value in _values(wanted):
@@ -331,7 +331,7 @@ def put(rviz: DrivenRviz, wanted: Display, root: str = "displays") -> None:
 
 
 def _values(entry: dict[str, Any], *above: str) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """The path of each property that has a value of its own, and that."""
+    """Path and value of each property that has a value of its own."""
     for key, value in entry.items():
         if isinstance(value, dict):
             yield from _values(value, *above, key)

@@ -13,7 +13,7 @@ from rosplat_core.scenes import PROCEDURAL, ROOMS, load_scene
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import Splats
 
-EYE = 1.6  # of who stands in a room, above its floor [m]
+EYE = 1.6  # height of a person's eyes above a room's floor [m]
 STEP = math.radians(1)  # by which the camera turns from picture to picture
 PICTURES = ((1280, 720), (1920, 1080))
 

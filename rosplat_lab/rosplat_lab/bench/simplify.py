@@ -1,4 +1,4 @@
-"""What is left of a map's pictures with fewer splats: by `simplify`, and by other ways to it."""
+"""Pictures of maps with fewer splats: PSNR and cost of `simplify`, and of other ways."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped
 SIZES, QUICK_SIZES = (200_000,), (5_000,)
 SHARES = (0.5, 0.33, 0.25)  # of the splats that are kept
 ALONG = "simplify, along the path"
-REFIT_STEPS, QUICK_STEPS = 600, 32  # a time would refit less on a busy machine
+REFIT_STEPS, QUICK_STEPS = 600, 32  # steps, because in a given time a busy machine refits less
 OTHER = "splat-transform"  # PlayCanvas's, by npm install -g @playcanvas/splat-transform
 ITS_MODES = ("decimate", "decimate-adaptive")
 
 Fewer = Callable[[float], Splats]
-"""A map of a share of a map's splats; called with ever smaller ones, after the ways before it."""
+"""Makes a map of a share of the splats. Called with ever smaller shares, in the order of ways."""
 
 
 class _FailedError(RuntimeError):
@@ -57,12 +57,12 @@ def _scene(name: str, path: list[Camera] | None, steps: int) -> Iterator[Event]:
 
     splats = scenes.load(name)
     random = np.random.default_rng(0).permutation(len(splats))
-    spent = {}  # of the processor, by ways that go on from the map before
+    spent = {}  # processor time of ways that go on from their map before
     works = {}
     for method in ("simplify", *([ALONG] if path else [])):
         began = _processor_time()
         works[method] = Simplification(splats, path=path if method == ALONG else None)
-        spent[method] = _processor_time() - began  # looking at the map, before any splat goes
+        spent[method] = _processor_time() - began  # the analysis of the map, before any splat goes
     best = ALONG if path else "simplify"
     judge = works[best].judge
 
@@ -119,7 +119,7 @@ def _scene(name: str, path: list[Camera] | None, steps: int) -> Iterator[Event]:
 
 
 def _decimated(folder: Path, mode: str, share: float) -> Splats:
-    """By splat-transform, without a GPU, as we. Raises _FailedError where it does."""
+    """A map by splat-transform, without a GPU, like ours. Raises _FailedError."""
     out = folder / "out.ply"
     run = subprocess.run(
         [OTHER, "-q", "-w", "-g", "cpu", folder / "in.ply", f"--{mode}", f"{share:.0%}", out],
@@ -131,5 +131,5 @@ def _decimated(folder: Path, mode: str, share: float) -> Splats:
 
 
 def _processor_time() -> float:
-    """Of this process and of those that it has waited for, in all their threads. [s]"""
+    """Of all threads of this process and of ended processes that it has waited for. [s]"""
     return sum(os.times()[:4])

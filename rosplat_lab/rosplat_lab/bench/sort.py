@@ -31,7 +31,7 @@ SIZES = (100_000, 250_000, 500_000, 1_000_000, 2_000_000, 5_000_000, 10_000_000)
 QUICK_SIZES = (50_000, 250_000)
 VIEWS = ("all", "inside")
 PICTURE = (1280, 720)
-STEPS = 16  # cameras that take turns, so that no order is the last one's
+STEPS = 16  # cameras that take turns, so that no order is that of the sort before
 
 HOST = "order in host memory"
 PINNED = "order in pinned memory"
@@ -78,7 +78,7 @@ class Way:
 def methods(
     sorted_map: SplatMap, backends: tuple[str, ...]
 ) -> list[tuple[str, Callable[[], list[Way]]]]:
-    """All ways by name, made when they are called; backends: which of the sorter's."""
+    """By name, functions that make the ways. backends: of the sorter; empty: all, and others."""
     found: list[tuple[str, Callable[[], list[Way]]]] = []
     for name in backends or tuple(BACKENDS):
         if name in (live.BUILT_IN, live.GPU, live.PROCESSOR):

@@ -34,18 +34,18 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SIZES, QUICK_SIZES = (4_000_000,), (60_000,)
-SHARE = 4  # of how many splats of a generated scene the map may hold one
+SHARE = 4  # the map may hold one in so many splats of a generated scene
 BUDGETS = (1_000_000, 3_000_000)  # splats, of scenes by name
 PICTURE, QUICK_PICTURE = (1280, 720), (320, 180)
 FLIGHT, QUICK_FLIGHT = 30.0, 3.0  # [s]
 SPEED = 0.25  # chunks a second
 SIGHTS = 2  # pictures of the flight that are held against the truth
-ELSEWHERE = 0.6  # of the way through the scene: where the camera is put after the flight
-DOWN, WEAVE, TURN = 0.35, 0.7, 12.0  # looks down, and left and right [rad] in so long [s]
+ELSEWHERE = 0.6  # part of the way at which the camera is put after the flight
+DOWN, WEAVE, TURN = 0.35, 0.7, 12.0  # looks down, and left and right [rad], with a period of [s]
 SETTLED = 3.0  # a map at rest that has not changed for so long has heard of the camera, too [s]
 PATIENCE = 300.0  # until it is at rest [s]
 
-TRUTH_BYTES = 1 << 29  # of splats as messages have them: the nearest of the truth
+TRUTH_BYTES = 1 << 29  # most for the truth's splats, as in messages; the nearest come first
 TRUTH_ERROR = 0.25  # that is small enough for it [px]
 
 
@@ -126,7 +126,7 @@ def _psnr(picture: NDArray[np.float32], truth: Array) -> float:
 
 @dataclass(frozen=True)
 class Wait:
-    """Until a map was at rest, and what processors worked for it, by program. [s]"""
+    """Time until a map was at rest, and processor time until then, by program. [s]"""
 
     time: float
     work: dict[str, float]
@@ -214,7 +214,7 @@ class Watched:
         return took
 
     def until_rest(self, camera: Camera) -> Wait:
-        """Draws until nothing more comes."""
+        """Draws until nothing more comes. Raises RuntimeError after PATIENCE."""
         began = changed = time.monotonic()
         before = done = self._work()
         revision = self._revision

@@ -16,8 +16,8 @@ from rosplat_core.generated import generate
 from rosplat_core.splats import Splats, concatenate
 
 SIDE = 4  # gardens along x, and along y
-APART = 5.0  # their middles [m]
-LEVELS = (1, 4, 16)  # of how many splats one is left, the finest first
+APART = 5.0  # distance of their middles [m]
+LEVELS = (1, 4, 16)  # one in so many splats is left, the finest first
 
 
 def write(folder: Path, count: int) -> Path:

@@ -138,7 +138,7 @@ def _visible(out: Path, name: str, repeats: int) -> Iterator[Measurement]:
     node = Node("opener")
 
     def load(namespace: str) -> None:
-        """Once the three have found each other."""
+        """Has the scene loaded, once the three have found each other."""
         client: Client = node.create_client(LoadScene, f"{namespace}/ply_publisher/load")
         if not client.wait_for_service(PATIENCE):
             raise TimeoutError("the publisher did not start")

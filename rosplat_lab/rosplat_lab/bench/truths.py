@@ -22,10 +22,10 @@ from rosplat_lab.bench import scenes
 from rosplat_lab.bench.sort import map_of
 from rosplat_sorter.backends import open_backend
 
-COMPARED = (640, 360)  # of the middle of each picture, at most [px]
+COMPARED = (640, 360)  # size of the compared middle of a picture, at most [px]
 
 Truth = NDArray[np.float32]
-"""(height, width, 3) RGB over black of what is compared."""
+"""(height, width, 3) RGB over black of the compared part of a picture."""
 Crop = tuple[int, int, int, int]
 """Left, top, right, bottom of a part of a picture. [px]"""
 Draw = Callable[[Splats, Camera, Crop], NDArray[np.float64]]
@@ -38,13 +38,13 @@ def exact(splats: Splats, camera: Camera, crop: Crop) -> NDArray[np.float64]:
 
 
 def draw(name: str, looks: Sequence[Callable[[Splats], Camera]], by: Draw = exact) -> list[Truth]:
-    """What is compared of pictures of a scene by its name, as the reference draws it, or a model.
+    """Draws the compared parts of pictures of a scene, by the reference or by a model.
 
-    One in a process; looks choose the cameras.
+    name: of the scene. looks: choose the cameras, of which a process draws one at a time.
     """
     workers = min(len(looks), len(os.sched_getaffinity(0)))
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-        # What starts now inherits the mask, and never hears Ctrl-C: the parent does.
+        # Processes that start now inherit the mask: Ctrl-C reaches the parent alone.
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         drawn = pool.map(partial(_draw, name, by), looks)
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
@@ -75,26 +75,26 @@ def _scene(name: str) -> Splats:
 
 
 def compared(width: int, height: int) -> tuple[slice, slice]:
-    """Rows and columns of what is compared of a picture."""
+    """Rows and columns of the compared part of a picture."""
     parts = [min(size, part) for size, part in zip((width, height), COMPARED, strict=True)]
     left, top = (width - parts[0]) // 2, (height - parts[1]) // 2
     return slice(top, top + parts[1]), slice(left, left + parts[0])
 
 
 def middle(drawn: NDArray[np.floating]) -> NDArray[np.float32]:
-    """What is compared of a picture, as a screen shows it."""
+    """The compared part of a picture, clipped as on a screen."""
     height, width = drawn.shape[:2]
     part: NDArray[np.float32] = np.clip(drawn[compared(width, height)], 0, 1).astype(np.float32)
     return part
 
 
 def psnr(drawn: NDArray[np.floating], truth: Truth) -> float:
-    """Of what a screen shows of a picture, (height, width, 3) RGB. [dB]"""
+    """PSNR of a picture, (height, width, 3) RGB, as a screen shows it. [dB]"""
     return min(metrics.psnr(middle(drawn), np.clip(truth, 0, 1)), MOST_PSNR)
 
 
 def orders(splats: Splats, cameras: Sequence[Camera]) -> list[NDArray[np.uint32]]:
-    """A sorter's, by the native backend."""
+    """A sorter's orders, by the native backend."""
     sorter, sorted_map = open_backend("native"), map_of(splats)
     sorter.update(sorted_map, slice(0, sorted_map.rows))
     return [np.array(sorter.order(view_of(camera, splats))) for camera in cameras]

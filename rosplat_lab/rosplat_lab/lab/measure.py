@@ -1,7 +1,7 @@
 """Times and errors of every way to draw scenes, as events of a benchmark.
 
-All pictures of a scene are of the same VIEWS, of which each frame has the next. A pass goes through
-all ways; there are several, so the noise of a figure is that of minutes, not of moments.
+All pictures of a scene are of the same VIEWS, which frames take in turn. A pass goes through all
+ways. There are several passes, so that a figure's noise is that of minutes, not of moments.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from rosplat_lab.lab.ways import MODEL, OURS, WHOLE, WINDOW, Way, counted, maps,
 TIME, ERROR = "frame", "PSNR"  # names of what is measured
 PICTURE, QUICK_PICTURE = (1280, 720), (320, 180)
 VIEWS = ((scenes.overview, 0.0), (scenes.inside, 0.0), (scenes.overview, 2.5), (scenes.inside, 2.5))
-"""From where, and how far around. [rad]"""
+"""Cameras, and by how much they are turned around the scene. [rad]"""
 PASSES, QUICK_PASSES = 5, 2
 WARM_UP = 0.1  # of drawing in each pass, for a card that had nothing to do [s]
-SLOW = 2.0  # what takes longer for all views has two passes, and no warming up [s]
+SLOW = 2.0  # a way that takes longer for all views has two passes, of one picture each [s]
 SETTLED = 0.01  # by how much the error of levels may still change from picture to picture
-MOST_SETTLING = 60  # pictures until a budget is kept
+MOST_SETTLING = 60  # most pictures until a budget is kept
 MOVING_SPLATS = 200_000  # scenes with fewer are drawn in time whatever moves
 MOVING = "the camera turns by 20 deg/s"
 STRIP_WIDTH = 320  # of the pictures in the report [px]
@@ -51,9 +51,9 @@ class Measured:
 
     way: Way
     times: list[float] = field(default_factory=list)
-    """Means over the views of medians. [ms]"""
+    """Of each pass: mean over the views of the median. [ms]"""
     errors: list[float] = field(default_factory=list)
-    """PSNR of all views' pixels together. [dB]"""
+    """Of each pass: PSNR of all views' pixels together. [dB]"""
     facts: dict[str, Any] = field(default_factory=dict)
     done: bool = False
 
@@ -79,7 +79,7 @@ def _scene(plan: Plan, name: str, strips: Path, card: bool) -> Iterator[Event]:
     told = truths.draw(name, looks)
     yield from isolated(_drawn, plan, name, told, strips)
     yield from _models(name, looks, told, strips)
-    if not card:  # which has each picture in time
+    if not card:  # a card has each picture in time
         yield from _moving(plan, name)
 
 
@@ -89,7 +89,7 @@ def _camera(number: int, picture: tuple[int, int], splats: Splats) -> Camera:
 
 
 def _drawn(plan: Plan, name: str, told: list[truths.Truth], strips: Path) -> Iterator[Event]:
-    """All that has a time, in a process of its own."""
+    """Measures all ways that have a time. Needs a process of its own."""
     splats = scenes.load(name)
     picture = QUICK_PICTURE if plan.quick else PICTURE
     cameras = [_camera(number, picture, splats) for number in range(len(VIEWS))]
@@ -138,13 +138,13 @@ def _measurements(
 
 
 class Stage:
-    """What draws, and with which maps: ways are measured on it."""
+    """Measures ways: has the renderers, and the map that each of them holds."""
 
     def __init__(
         self, plan: Plan, cameras: list[Camera], made: dict[str, Splats], display: DisplayRenderer
     ) -> None:
         self._plan, self._cameras, self._maps, self._display = plan, cameras, made, display
-        self._on_display = ""  # which map
+        self._on_display = ""  # name of the map that the display holds
         self._renderers: dict[str, Any] = {}
         self._details: dict[tuple[str, int], str] = {}
         self._sorter = orders.Sorter(made[WHOLE])
@@ -186,7 +186,7 @@ class Stage:
         }  # fmt: skip
 
     def _renderer(self, way: Way) -> Any:
-        """What draws a way, with its map and settings."""
+        """What draws a way, with the way's map."""
         if way.by in RENDERERS:
             if way.by not in self._renderers:
                 self._renderers[way.by] = RENDERERS[way.by]()
@@ -207,7 +207,7 @@ class Stage:
         return renderer
 
     def _draw(self, renderer: Any, way: Way, number: int) -> float:
-        """Draws a view; what it took. [ms]"""
+        """Draws a view; returns the time that it took. [ms]"""
         camera = self._cameras[number]
         if way.by not in RENDERERS:
             renderer.use(dict(way.settings))
@@ -231,8 +231,8 @@ class Stage:
         return truths.middle(renderer.picture())
 
     def _detail(self, renderer: Ours, way: Way, number: int) -> str:
-        """The error that a budget comes to in a view, by small steps: in rviz nobody waits for a
-        picture."""
+        """Detail as an error in px; of a budget, the error that it comes to in a view. It comes
+        there by small steps, from picture to picture, as in rviz nobody waits for one."""
         detail = str(way.settings["detail"])
         if detail.endswith("px"):
             return detail
@@ -253,7 +253,7 @@ class Stage:
 def _models(
     name: str, looks: Sequence[Callable[[Splats], Camera]], told: list[truths.Truth], strips: Path
 ) -> Iterator[Event]:
-    """The errors of what is drawn in NumPy."""
+    """The errors of models, which are drawn in NumPy."""
     splats = scenes.load(name)
     for way in ways(splats, False, True):
         if way.model:
@@ -270,8 +270,8 @@ def _models(
 
 
 def _moving(plan: Plan, name: str) -> Iterator[Event]:
-    """What a window shows while the camera turns, by Detail: of the processor, whose pictures come
-    late."""
+    """PSNR and times of a window's pictures while the camera turns, by Detail, where the processor
+    draws: its pictures come late."""
     count = len(scenes.load(name))
     if count < MOVING_SPLATS and not plan.quick:
         return

@@ -28,7 +28,7 @@ INTERVAL = 1 / 30  # of frames [s]
 SECONDS, QUICK_SECONDS = 4.0, 0.5
 LEAST_FRAMES = 4
 SAMPLES = 12  # frames that are looked at
-AT_REST = 0.5  # levels of detail that haven't grown for so long stand [s]
+AT_REST = 0.5  # levels of detail that haven't changed for so long are complete [s]
 
 
 def _shown(renderer: Renderer, view: embedded.NumberedView, camera: Camera) -> NDArray[np.float64]:
@@ -40,7 +40,7 @@ def _shown(renderer: Renderer, view: embedded.NumberedView, camera: Camera) -> N
 
 
 def in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Event]:
-    """What a camera that turns is shown, against the exact picture of where it is."""
+    """The pictures shown to a camera that turns, against the exact pictures of its poses."""
     from rosplat_core.rendering import Rasterizer
     from rviz_gaussian_plugin.offscreen import ensure_display
 

@@ -20,7 +20,7 @@ from rosplat_sorter.backends import open_backend
 
 Order = NDArray[np.uint32]
 Keys = Callable[[SortView, NDArray[np.float32]], NDArray[np.uint32]]
-"""Of a view and positions (m, 3), m > 0: (m,) keys that don't descend where the depths ascend."""
+"""(m,) keys of positions (m, 3), m > 0, in a view: not smaller for splats that are farther."""
 
 
 class Sorter:
@@ -33,7 +33,7 @@ class Sorter:
         self._backend.update(self._map, slice(0, self._map.rows))
 
     def order(self, camera: Camera) -> Order:
-        """The exact one."""
+        """The exact order."""
         order: Order = self._backend.order(view_of(camera, self._splats)).copy()
         return order
 

@@ -21,7 +21,7 @@ from rosplat_lab.lab.points import Point, for_decibels, frontier, points, verdic
 MADE = "<!-- Made by `make lab DOCS=docs`, from here to the end. -->\n\n"
 ACCURACY, STABILITY = "# Error against time\n\n", "# Where methods fail\n\n"
 TARGETS = (60, 50, 40, 30)  # [dB]
-SOLVED = 65.0  # what nobody sees, and packed attributes allow [dB]
+SOLVED = 65.0  # beyond it nobody sees errors; packed attributes allow it [dB]
 COLUMNS = 4  # of stability.png
 
 KEPT = "results/lab"  # of the folder of documents: KIND.json and KIND-atlas.json
@@ -30,7 +30,7 @@ Kept = Mapping[str, Sequence[Record]]
 
 
 def write(docs: Path, lab: Kept, atlas: Kept) -> list[Path]:
-    """Writes what there are records for."""
+    """Writes the pages that there are records for; returns their paths."""
     written = []
     if lab:
         written.append(docs / "accuracy.md")
@@ -113,7 +113,7 @@ Curves = dict[str, dict[str, tuple[list[float], list[float]]]]
 
 
 def curves_of(records: Sequence[Record]) -> Curves:
-    """What a run of the atlas found, of the cases that there are."""
+    """What a run of the atlas found, of the cases that still exist."""
     found: Curves = {}
     for record in records:
         if record.name in CASES:

@@ -30,7 +30,7 @@ COLOURS = {
 MOST_NAMES = 12
 TOP = 95.0  # of the axis [dB]
 DISTANCES = (10, 20, 32, 46, 64, 86, 110)  # of a name from its dot [points]
-ANGLES = sorted(range(-165, 195, 15), key=abs)  # and where, from its right on [degrees]
+ANGLES = sorted(range(-165, 195, 15), key=abs)  # directions from the dot, right first [degrees]
 
 
 def write(folder: Path, kept: Mapping[str, Sequence[Record]]) -> Path:
@@ -57,7 +57,7 @@ def write(folder: Path, kept: Mapping[str, Sequence[Record]]) -> Path:
             ncols=4 * len(kept),
             fontsize=8,
         )
-        figure.canvas.draw()  # which settles where the dots are, and there they stay
+        figure.canvas.draw()  # settles the layout; then the dots stay
         figure.set_layout_engine("none")
         for axes, records in zip(grid[0], kept.values(), strict=True):
             here = shown(records)
@@ -125,7 +125,7 @@ def _dots(axes: Any, records: Sequence[Record]) -> None:
 
 
 def name(axes: Any, here: Sequence[Point], chosen: Sequence[Point]) -> None:
-    """Names the chosen dots, each beside its own, but on no other dot or name."""
+    """Names the chosen dots, each name beside its dot, and on no other dot or name."""
     places = {p.setting: (p.ms, min(p.psnr, TOP)) for p in here}
     dots = [
         Bbox.from_extents(x - 6, y - 6, x + 6, y + 6)

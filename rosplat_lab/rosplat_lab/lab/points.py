@@ -10,8 +10,8 @@ from rosplat_lab.bench.records import Record
 from rosplat_lab.lab.measure import ERROR, TIME
 from rosplat_lab.lab.ways import DEFAULT
 
-LEAST_NOISE = 0.02  # of a time, where repeated runs agree by chance
-LEAST_GAIN = 0.5  # what nobody sees [dB]
+LEAST_NOISE = 0.02  # least part of a time: repeated runs may agree by chance
+LEAST_GAIN = 0.5  # smaller differences nobody sees [dB]
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class Point:
     scene: str
     splats: int
     ms: float | None
-    """Of a frame; None: a model."""
+    """Time of a frame; None of a model."""
     ms_noise: float
-    """By how much the passes of a run were above the least."""
+    """By how much the median of a run's passes was above the least."""
     psnr: float
     psnr_noise: float
     worst_view: float
@@ -39,7 +39,7 @@ class Point:
 
 
 def points(records: Sequence[Record]) -> list[Point]:
-    """Of a run's records, in their order."""
+    """The points of a run's records, in their order."""
     times = {_key(record): record for record in records if record.name == TIME}
     found = []
     for record in records:
@@ -65,10 +65,10 @@ def _key(record: Record) -> tuple[object, ...]:
 
 
 def frontier(found: Iterable[Point]) -> list[Point]:
-    """Those that no other beats in both, fastest first, by more than the noise.
+    """The points that no other beats in both time and PSNR, fastest first.
 
-    A slower one must gain decibels, and one with fewer must gain time, by more than what passes
-    differ by. Of equals the first stays. What is to be seen aside is left out.
+    A slower point must gain decibels, and one with fewer must gain time, by more than passes
+    differ. Of equals the first stays. Points with an `aside` are left out.
     """
     candidates = [p for p in found if p.ms is not None and not p.aside]
     chosen: list[Point] = []

@@ -40,7 +40,7 @@ def picture(splats: Splats, camera: Camera) -> Array:
         origin = (camera.position - world[slot]) @ axes[index]
         along = rays @ axes[index]
         square = (np.cross(origin, along) ** 2).sum(-1) / (along**2).sum(-1)
-        # Behind the camera the density falls: the ray begins where it is largest.
+        # A splat whose peak on the ray is behind the camera is left out.
         ahead = along @ origin < 0
         alpha = splats.opacities[slot] * np.exp(-0.5 * square) * ahead
         alpha = np.where(alpha >= MIN_ALPHA, np.minimum(alpha, 0.99), 0)[..., None]

@@ -32,7 +32,7 @@ def write(folder: Path, kept: Mapping[str, Sequence[Record]]) -> Path:
             for point in here:
                 row = asdict(point) | {"front": point in best}
                 path = strip(folder / "strips", scene, point.setting)
-                # Of this machine, and as long as they fit.
+                # The strips are of this machine, and are embedded as long as they fit.
                 if (
                     path.exists()
                     and size < MOST_STRIPS

@@ -1,4 +1,4 @@
-"""The ways to draw a map that a user can choose, and models of what others do: a line adds one."""
+"""The ways to draw a map that users can choose, and models of other programs. A line adds one."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TURNING = np.radians(30)  # of a camera with late orders [rad/s]
 
 @dataclass(frozen=True)
 class Way:
-    """A way to a picture."""
+    """A way to draw a picture."""
 
     setting: str
     """What a user types."""
@@ -48,11 +48,11 @@ class Way:
     """Which of the maps that `maps` makes."""
     by: str = OURS
     order: Callable[[orders.Sorter, Camera], orders.Order] | None = None
-    """A sorter's, which is drawn."""
+    """Makes a sorter's order, which is drawn."""
     aside: str = ""
     """Why it is not held against others, empty where it is."""
     model: Draw | None = None
-    """What draws instead."""
+    """Draws in place of a renderer."""
 
 
 def counted(splats: float) -> str:
@@ -61,7 +61,7 @@ def counted(splats: float) -> str:
 
 
 def ways(splats: Splats, card: bool, quick: bool) -> Iterator[Way]:
-    """Those for a scene, the default first. card: a graphics card draws."""
+    """The ways for a scene, the default first. card: whether a graphics card draws."""
     count = len(splats)
     yield Way(DEFAULT, "rasteriser")
     if card:
@@ -110,7 +110,7 @@ def ways(splats: Splats, card: bool, quick: bool) -> Iterator[Way]:
 
 
 def maps(splats: Splats, quick: bool) -> Iterator[tuple[str, Splats]]:
-    """The maps that ways name, as they are made."""
+    """The maps that ways name, one by one."""
     yield WHOLE, splats
     yield "quantised", quantised(splats)
     if len(splats) > MOST_SIMPLIFIED:
@@ -126,7 +126,7 @@ def maps(splats: Splats, quick: bool) -> Iterator[tuple[str, Splats]]:
 
 
 def quantised(splats: Splats) -> Splats:
-    """As they arrive, batch by batch, where a publisher's compression is quantised."""
+    """The splats as they arrive, batch by batch, if a publisher's compression is quantised."""
     parts = []
     for part in batches(splats):
         arrays, usable = arrays_of(splats, part), np.ones(part.stop - part.start, bool)
@@ -138,12 +138,12 @@ def quantised(splats: Splats) -> Splats:
 
 
 def arrays_of(splats: Splats, part: slice) -> payload.Arrays:
-    """A part of splats, as a payload takes them."""
+    """The arrays of a part of splats, as a payload takes them."""
     return payload.Arrays(*(getattr(splats, name)[part] for name in ARRAYS))
 
 
 def joined(splats: Splats, parts: Sequence[payload.Arrays]) -> Splats:
-    """The splats with other arrays, in parts."""
+    """The splats with other arrays, which come in parts."""
     whole: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS
     }

@@ -1,7 +1,7 @@
 """Occupancy in float64: rosplat_core's voxel_map.hpp without packing and without integers.
 
-Also what else a voxel may be judged by, for comparison, and the voxels that are truly occupied in
-generated rooms.
+Also other values by which voxels may be judged, for comparison, and the voxels that are truly
+occupied in generated rooms.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def spread(
 
 
 def sums(splats: Splats, resolution: float, of: Array) -> tuple[NDArray[np.int64], Array]:
-    """Of numbers (n, k) of splats: keys of the cells they lie in, and the sums there (m, k)."""
+    """Sums numbers (n, k) of splats in the cells that they reach: keys, and sums (m, k)."""
     keys, values = [], []
     for splat, key, weight, _ in spread(splats, resolution):
         here, place = np.unique(key, return_inverse=True)
@@ -139,7 +139,7 @@ def _block(low: Array, high: Array, resolution: float) -> NDArray[np.int64]:
 
 
 def surface_points(rooms: Rooms, count: int, seed: int) -> Array:
-    """(count, 3) points of the rooms' rectangles, as many for each area. [m]"""
+    """(count, 3) points on the rooms' rectangles, evenly by area. [m]"""
     rng = np.random.default_rng(seed)
     low, high = rooms.sides()
     size = high - low

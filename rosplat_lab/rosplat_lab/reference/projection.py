@@ -15,7 +15,7 @@ from rosplat_core.splats import LOW_PASS, Splats
 Array = NDArray[np.float64]
 
 MIN_ALPHA = 1 / 255  # what is fainter is not drawn
-GUARD_BAND = 0.3  # of tan(fov / 2) beyond the picture, where the Jacobian stops to grow
+GUARD_BAND = 0.3  # of tan(fov / 2) beyond the picture, where the Jacobian stops growing
 
 
 @dataclass(frozen=True)

@@ -66,8 +66,8 @@ def blended(
     max_alpha: float = 0.99,
     min_transmittance: float = 0.0,
 ) -> Picture:
-    """The crop of a picture of projected splats, nearest first; what is fainter than min_alpha is
-    not drawn."""
+    """The crop of a picture of projected splats, nearest first. Alpha below min_alpha is not
+    drawn."""
     left, top, right, bottom = crop
     rgba = np.zeros((bottom - top, right - left, 4))
     depth, median = np.full((2, bottom - top, right - left), np.nan)
@@ -103,11 +103,11 @@ def pick(splats: Splats, camera: Camera) -> tuple[NDArray[np.int64], Array]:
 
 
 def contributions(splats: Splats, camera: Camera) -> tuple[Array, Array, Array]:
-    """What each splat is to a picture, (n,) each, sums over its pixels.
+    """What each splat contributes to a picture: three sums over its pixels, (n,) each.
 
-    The first of alpha times the transmittance before it, the second of the squares of these. The
-    third of the squares by which red, green and blue change without it; it draws a picture for each
-    splat.
+    The first is of alpha times the transmittance before it, the second of the squares of these.
+    The third is of the squares by which red, green and blue change without the splat, which takes
+    a picture for each splat.
     """
     weights, energies = np.zeros(len(splats)), np.zeros(len(splats))
     for _, slots, of_pixels in _contributed(splats, camera):
@@ -122,7 +122,7 @@ def contributions(splats: Splats, camera: Camera) -> tuple[Array, Array, Array]:
 
 
 def dealt(splats: Splats, camera: Camera, values: Array) -> Array:
-    """What each splat gets, (n,), of values (height, width) of pixels, by what it contributes."""
+    """Deals values (height, width) of pixels to splats, (n,), by what each contributes."""
     sums = np.zeros(len(splats))
     for window, slots, weights in _contributed(splats, camera):
         sums[slots] += (weights * values[window]).sum(axis=(1, 2))
@@ -132,8 +132,8 @@ def dealt(splats: Splats, camera: Camera, values: Array) -> Array:
 def _contributed(
     splats: Splats, camera: Camera
 ) -> Iterator[tuple[tuple[NDArray[np.intp], ...], NDArray[np.intp], Array]]:
-    """Part by part of the picture, what splats contribute to it, alpha times the transmittance
-    before it: the part's rows and columns, slots (n,), nearest first, and (n, h, w) of each."""
+    """Yields for each part of the picture its rows and columns, slots (n,), nearest first, and what
+    each contributes (n, h, w): alpha times the transmittance before."""
     projected = project(splats, camera)
     projected = projected[_front_to_back(projected, None, len(splats))]
     for y, x, members in _tiles(projected, 0, 0, camera.width, camera.height):
@@ -188,7 +188,7 @@ def _blend(
     alphas: tuple[float, float],
     min_transmittance: float,
 ) -> tuple[Array, Array, Array]:
-    """Of splats, nearest first: (h, w, 4) premultiplied RGBA, (h, w) sum of weight * z, median."""
+    """Blends splats, nearest first: (h, w, 4) premultiplied RGBA, (h, w) weights * z, median z."""
     values = np.column_stack([splats.colors, np.ones(len(splats.slots)), splats.depths])
     blended = np.zeros((len(ys), len(xs), 5))
     median = np.full((len(ys), len(xs)), np.nan)
@@ -207,9 +207,9 @@ def _weights(
     alphas: tuple[float, float],
     min_transmittance: float,
 ) -> Iterator[tuple[slice, Array]]:
-    """A part of the splats, nearest first, and (n, h, w) what each contributes to each pixel.
+    """Yields parts of the splats, nearest first, and (n, h, w) what each adds to each pixel.
 
-    alphas: the least that is drawn, and the most that one is drawn with.
+    alphas: the least alpha that is drawn, and the most that a splat has.
     """
     min_alpha, max_alpha = alphas
     transmittance = np.ones((len(ys), len(xs)))

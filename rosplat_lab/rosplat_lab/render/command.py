@@ -43,7 +43,7 @@ from rosplat_tools.view_messages import view_camera
 
 START_TIMEOUT = 120.0  # for the map to be loaded, sent and received [s]
 SETTLED = 1.0  # a complete map that hasn't changed for so long has all its edits [s]
-PUBLISHER = "publisher"  # its log
+PUBLISHER = "publisher"  # name of its log
 CALL_TIMEOUT = 120.0  # for one picture [s]
 ORDER_TIMEOUT = 10.0  # for the sorter, of a renderer that doesn't sort itself [s]
 ASK_AGAIN = 10.0  # after a picture's order should be there: an answer may get lost [s]
@@ -74,7 +74,7 @@ def render(
     32-bit instead of 16-bit floats. detail: how much of the map to draw, as RenderView has it.
     Raises RenderError, ProcessError.
     """
-    # Nobody else's publishers, sorters or viewers.
+    # A namespace without anybody else's publishers, sorters or viewers.
     namespace = f"/render_{uuid.uuid4().hex[:8]}"
     remap = ["--ros-args", "-r", f"__ns:={namespace}"]
     with Processes(log_folder) as processes:
@@ -148,7 +148,7 @@ def _wait_for_service(node: Node, client: Client, processes: Processes) -> None:
 
 
 def _wait_for_map(node: Node, client: Client, camera: Camera, processes: Processes) -> None:
-    """Until the renderer has all of the map, and its last edits."""
+    """Waits until the renderer has all of the map, and its last edits."""
     changed = time.monotonic()
     revision, complete = -1, False
     while not complete or time.monotonic() - changed < SETTLED:
@@ -226,7 +226,7 @@ def read_picture(path: Path) -> NDArray[np.float64]:
 def _pixels(path: Path) -> NDArray[np.unsignedinteger]:
     try:
         data = np.frombuffer(path.read_bytes(), np.uint8)
-    except (OSError, ValueError) as error:  # the latter for what can't be a name
+    except (OSError, ValueError) as error:  # ValueError: no name of a file
         raise SceneError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
     pixels = cv2.imdecode(data, flags) if len(data) else None

@@ -22,7 +22,7 @@ KINDS: dict[str, type] = {
 
 
 def poses(bag: str, topic: str) -> list[NDArray[np.float64]]:
-    """Poses (4, 4) of a topic, or where it is empty of the only one that has poses.
+    """Poses (4, 4) of a topic. An empty topic stands for the only one that has poses.
 
     Raises SceneError, naming bag and topic.
     """

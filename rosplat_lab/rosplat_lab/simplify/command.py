@@ -36,9 +36,9 @@ from rosplat_lab.machine import commit, machine, peak_bytes
 from rosplat_lab.simplify.path import along
 
 TRIES = 8  # to come below a number of bytes, or to make up for what a format loses
-EXCESS = 0.05  # by which it is to be made up for [dB]
-GAINS = (2.5, 1.2)  # by refitting, as far as it is tried [dB]
-SPARE = 0.01  # part that is left out more than a number of bytes seems to take
+EXCESS = 0.05  # margin over what a format loses [dB]
+GAINS = (2.5, 1.2)  # of refitting, that are tried in turn [dB]
+SPARE = 0.01  # part of the splats left out beyond what a number of bytes seems to need
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Output:
 
     @cached_property
     def draft(self) -> Path:
-        """Its folder is made late: what kills a program leaves nothing of the search."""
+        """Its folder is made late: a program killed while it searches leaves nothing behind."""
         return self.drafts.enter_context(_folder_beside(self.path)) / self.path.name
 
     def write(self, splats: Splats) -> Written:
@@ -155,7 +155,7 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
     if options.report and options.report.exists() and not options.report.is_file():
         raise SceneError(f"{options.report}: is no file that could be replaced")
     with _folder_beside(out):
-        pass  # or it would be refused when all is done
+        pass  # refuses now, not after all the work
     path = along(options.cameras, options.trajectory)
     if path is None and options.margin is not None:
         raise SceneError("--margin is of a path: give --cameras")
@@ -220,7 +220,7 @@ def _within(
     max_bytes: int | None,
     refine: float,
 ) -> tuple[Written, Quality]:
-    """Brings a map within its bounds; what its file will hold. Raises SceneError where none is."""
+    """Brings a map within its bounds; returns what its file will hold. Raises SceneError."""
     splats, size = max_splats or len(work.splats), max_bytes or sys.maxsize
     if psnr is None:
         written = _as_small_as(work, output, splats, size)
@@ -239,7 +239,7 @@ def _within(
 
 
 def _as_good_as(work: Simplification, output: Output, psnr: float) -> tuple[Written, Quality]:
-    """Few splats of a PSNR. Raises SceneError where no fewer have it than there are."""
+    """Few splats of a PSNR. Raises SceneError if the format can't have it, or all are needed."""
     every, bound = work.splats, psnr
     of_all: float | None = None  # PSNR of the whole map in this format [dB]
     for _ in range(TRIES):

@@ -33,7 +33,7 @@ def along(cameras: Path | None, trajectory: Path | None) -> list[Camera] | None:
 
 
 def _at_each_pose(trajectory: Path, camera: Camera) -> list[Camera]:
-    """Of a bag, or BAG:TOPIC, or a file as load_trajectory reads it."""
+    """The camera at each pose of a bag, of BAG:TOPIC, or of a file for load_trajectory."""
     bag, _, topic = str(trajectory).partition(":")
     if not (Path(bag).is_dir() or Path(bag).suffix in BAGS):
         return load_trajectory(trajectory, camera)

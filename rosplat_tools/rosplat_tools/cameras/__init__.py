@@ -1,1 +1,1 @@
-"""Cameras in the map: pictures of it as a robot's camera takes them, and held against those."""
+"""Draws the map as a robot's camera sees it, and compares it with the camera's pictures."""

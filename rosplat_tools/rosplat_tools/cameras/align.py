@@ -39,7 +39,7 @@ from rosplat_tools.poses import to_matrix, to_pose
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run_node
 
-# Some wheels of PyPI don't have it.
+# Some wheels of PyPI lack tf2_msgs.
 try:
     from tf2_msgs.msg import TFMessage
 except ImportError:
@@ -48,12 +48,12 @@ except ImportError:
 POSES = QoSProfile(depth=5)
 TF = QoSProfile(depth=100)
 THREADS = 2  # of callbacks
-POLL = 0.005  # how often TF is asked [s]
+POLL = 0.005  # longest time between two looks at TF [s]
 
 
 @dataclass
 class _Call:
-    """Of the service, from ROS's thread to the drawing one."""
+    """A call of the service, which ROS's thread hands to the drawing thread."""
 
     request: Align.Request
     response: Align.Response
@@ -61,7 +61,7 @@ class _Call:
 
 
 class AlignNode(Node):
-    """Callbacks hand over; align() draws."""
+    """Callbacks only hand data over; align() draws."""
 
     def __init__(self) -> None:
         """Raises SceneError for a parameter that makes no sense."""
@@ -82,7 +82,7 @@ class AlignNode(Node):
         self._tf = (
             self.create_publisher(TFMessage, "/tf", **overridable(TF)) if self._child else None
         )
-        # A call waits for the drawing thread, in a thread of its own.
+        # A call blocks its thread until the drawing thread has answered.
         calls = MutuallyExclusiveCallbackGroup()
         self.create_service(Align, "~/align", self._on_call, callback_group=calls)
         if not self._tf:

@@ -48,7 +48,7 @@ def lens_of(info: CameraInfo) -> Lens:
 
 
 def rectified(info: CameraInfo) -> tuple[Lens, NDArray[np.float64]]:
-    """The lens of rectified pictures, and the rotation (3, 3) of the camera's rays into its own.
+    """The lens of rectified pictures, and the rotation (3, 3) from the camera into it.
 
     Raises LensError, naming the field.
     """
@@ -63,7 +63,7 @@ def rectified(info: CameraInfo) -> tuple[Lens, NDArray[np.float64]]:
 
 
 def _check_window(info: CameraInfo) -> None:
-    """Whether pictures are of all pixels."""
+    """Raises LensError if pictures are binned or of a part of the sensor."""
     if max(info.binning_x, info.binning_y) > 1:
         raise LensError(f"binning is {info.binning_x} x {info.binning_y}, expected none")
     roi = info.roi

@@ -36,14 +36,14 @@ from rosplat_tools.images import to_bytes, to_image
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run_node
 
-# Reliable: readers that ask for best effort are served as well.
+# Reliable: such a publisher serves best-effort subscribers, too.
 PICTURES = QoSProfile(depth=5)
-POLL = 0.005  # how often TF is asked [s]
-TOPIC = "topic"  # in place of a calibration file
+POLL = 0.005  # longest time between two looks at TF [s]
+TOPIC = "topic"  # value of `calibration`: hear CameraInfo, read no file
 
 
 class CameraNode(Node):
-    """Holds one map for all of its cameras. Callbacks hand over; film() draws."""
+    """Holds one map for all of its cameras. Callbacks only hand data over; film() draws."""
 
     def __init__(self) -> None:
         """Raises SceneError for a parameter that makes no sense."""
@@ -92,12 +92,12 @@ class Shot:
     """How pictures are taken."""
 
     period: int
-    """Between two of a camera, at least. [ns]"""
+    """Least time between two pictures of a camera. [ns]"""
     near: float
     """Depths between which splats are drawn. [m]"""
     far: float
     depth: str
-    """Of lens_pictures.DEPTHS."""
+    """One of lens_pictures.DEPTHS."""
 
 
 class _Camera:
@@ -114,11 +114,11 @@ class _Camera:
         )
         self._info = self._calibration()
         self._warp: Warp | None = None
-        self._fault = ""  # why there is none
-        self._warped: CameraInfo | None = None  # what the warp is of
-        self._last = self._due = 0  # of pictures' times [ns]
+        self._fault = ""  # why there is no warp
+        self._warped: CameraInfo | None = None  # that the warp was made for
+        self._last = self._due = 0  # of the last picture, of the next at the earliest [ns]
         self._looked = time.monotonic()
-        self._rests_until = 0.0  # after trouble, so that it is counted once a period
+        self._rests_until = 0.0  # after trouble, which is thus counted once a period
 
         def advertise(kind: type, topic: str) -> Publisher:
             return node.create_publisher(kind, f"{name}/{topic}", **overridable(PICTURES))
@@ -152,12 +152,12 @@ class _Camera:
         )
 
     def _on_calibration(self, info: CameraInfo) -> None:
-        info.header = Header()  # whatever its time, it is the same calibration
+        info.header = Header()  # with another time it is the same calibration
         if info != self._info:
             self._info = info
 
     def film(self) -> None:
-        """Takes a picture, if there is a pose that has none, and if it is time for one."""
+        """Takes a picture, if one is due and a pose has come since the last picture."""
         now = time.monotonic()
         passed, self._looked = now - self._looked, now
         self.health.counts["skipped"] += int(passed * SECOND / self._shot.period)

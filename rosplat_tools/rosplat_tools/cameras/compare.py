@@ -34,11 +34,11 @@ from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run_node
 
 PICTURES = QoSProfile(depth=5)
-POLL = 0.005  # how often TF is asked [s]
+POLL = 0.005  # longest time between two looks at TF [s]
 
 
 class Compare(Node):
-    """Callbacks hand over; compare() draws."""
+    """Callbacks only hand data over; compare() draws."""
 
     def __init__(self) -> None:
         """Raises SceneError for a parameter that makes no sense."""
@@ -105,7 +105,7 @@ class Compare(Node):
 
 
 class _Optics:
-    """A lens as pictures are drawn through it, and as they are straightened to be aligned."""
+    """A lens, made ready to draw pictures through it and to straighten pictures to align."""
 
     def __init__(self, lens: Lens, aligns: bool) -> None:
         self.warp = Warp(lens)
@@ -115,7 +115,7 @@ class _Optics:
 def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense.
 
-    With --bag, it is the program that compares all of a bag.
+    With --bag, runs the program that compares all pictures of a bag.
     """
     if any(word.startswith("--bag") for word in sys.argv[1:]):
         sys.exit(compare_bag.main())

@@ -42,7 +42,7 @@ TYPES: dict[type, str] = {
 
 
 class Bag:
-    """A bag's pictures, their lens, where they were taken, and the map: that of the bag's end."""
+    """A bag's pictures, their lens and poses, and the map: of --scene, or as the bag leaves it."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         """Reads all but the pictures. Raises SceneError."""

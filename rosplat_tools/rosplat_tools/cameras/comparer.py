@@ -1,4 +1,4 @@
-"""A picture of a camera held against the map's, drawn for it."""
+"""Compares a camera's picture with the map, drawn from the same pose."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from rosplat_tools.images import to_bytes
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """What came out."""
+    """What a comparison found."""
 
     figures: Comparison
     rendered: NDArray[np.uint8]
     """(height, width, 3) RGB of the map."""
     errors: NDArray[np.float32]
-    """(height, width) of pixels, as comparison.errors."""
+    """(height, width) errors of pixels, as of comparison.errors."""
     mask: NDArray[np.bool_]
-    """(height, width) the pixels that count."""
+    """(height, width) true of pixels that count."""
     warp: Warp
     world_to_lens: NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def compare(
         colour = take_picture(renderer, warp, world_to_lens, near=near, far=far).colour
     except (RuntimeError, MemoryError) as error:
         raise NoPicture("not drawn", shown(error, 300) or "out of memory") from error
-    rendered = to_bytes(colour)  # as a camera has it
+    rendered = to_bytes(colour)  # in 8 bits, as the camera's
     figures, errors = _measured(rendered, taken.colours, mask)
     figures.header = taken.header
     figures.map_id, figures.revision = renderer.map.map_id, renderer.map.revision

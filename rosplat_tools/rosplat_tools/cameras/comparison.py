@@ -1,6 +1,6 @@
-"""A map's picture held against a camera's: errors, exposure, figures. Pure.
+"""Compares a map's picture with a camera's: errors, exposure, figures. Pure.
 
-Pictures are float32 (height, width, 3) of RGB, 0 to 1; masks bool (height, width), true of the
+Pictures are float32 (height, width, 3) of RGB, 0 to 1; masks are bool (height, width), true of
 pixels that count.
 """
 
@@ -23,9 +23,9 @@ FULL_HEAT = 0.5  # error whose heat is white
 LEFT_OUT = (0, 0, 64)  # colour of what a mask leaves out
 
 CLIPPED = 1 / 255  # values this near to 0 and 1 say nothing of an exposure
-HUBER = 0.05  # errors beyond count less in its fit
+HUBER = 0.05  # larger errors count less in the fit of an exposure
 FIT_STEPS = 5
-FIT_PIXELS = 20_000  # that it looks at, at most
+FIT_PIXELS = 20_000  # that the fit uses, at most
 
 # Wang et al. 2004.
 SIGMA, TRUNCATE = 1.5, 3.5  # of their window of 11 pixels
@@ -58,8 +58,8 @@ class Exposure:
 def fit_exposure(rendered: Picture, real: Picture, mask: Mask) -> Exposure:
     """The exposure that takes one picture to the other, by least squares with Huber's weights.
 
-    Pixels at either end of the camera's range don't count. A channel that can't tell, because it is
-    the same everywhere, keeps its gain of 1.
+    Pixels at either end of the camera's range don't count. A channel that is rendered
+    the same everywhere keeps a gain of 1.
     """
     gains, biases = [], []
     for channel in range(3):
@@ -89,7 +89,7 @@ def errors(rendered: Picture, real: Picture) -> NDArray[np.float32]:
 
 
 def figures(rendered: Picture, real: Picture, mask: Mask) -> Figures:
-    """Of the pixels that count. Raises ValueError where none does."""
+    """Figures of the pixels that count. Raises ValueError if none does."""
     if not mask.any():
         raise ValueError("the mask leaves no pixel")
     rms = errors(rendered, real)[mask].astype(np.float64)
@@ -99,7 +99,7 @@ def figures(rendered: Picture, real: Picture, mask: Mask) -> Figures:
 
 
 def _ssim(rendered: Picture, real: Picture, mask: Mask) -> float:
-    """What is left out is taken as equal, so that it takes nothing from its neighbours."""
+    """Takes masked pixels as equal, so that they don't lower the values of their neighbours."""
     total = 0.0
     for channel in range(3):
         b = real[..., channel]

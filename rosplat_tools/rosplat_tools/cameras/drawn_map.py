@@ -11,7 +11,7 @@ from rosplat_tools.map_subscriber import MapSubscriber
 
 
 class DrawnMap(MapSubscriber):
-    """A map in a renderer. One thread takes batches, and draws."""
+    """A map in a renderer. The same thread calls take() and draws."""
 
     def __init__(self, node: Node, heard: Callable[[], None]) -> None:
         """heard: called whenever a batch has come."""
@@ -24,6 +24,6 @@ class DrawnMap(MapSubscriber):
         return self.header.frame_id
 
     def problem(self) -> str:
-        """Why a picture of the map would show less than there is; empty where it wouldn't."""
+        """Why a picture would not show the whole map; empty if it would."""
         empty = "" if self.books.splats else f"{self.topic}: the map is empty"
         return super().problem() or empty

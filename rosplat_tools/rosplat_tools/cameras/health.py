@@ -1,4 +1,4 @@
-"""What goes wrong with a camera: said when it begins, counted, and told to /diagnostics."""
+"""Troubles of a camera: logged when they begin, counted, and reported to /diagnostics."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rosplat_tools.program.said_once import SaidOnce
 
 
 class NoPicture(Exception):
-    """Why there is none: a kind of reason to count, and a line to say."""
+    """Why there is no picture: a kind of reason to count, and a line to log."""
 
     def __init__(self, kind: str, text: object) -> None:
         super().__init__(str(text))
@@ -18,7 +18,7 @@ class NoPicture(Exception):
 
 
 class Health:
-    """Of one camera."""
+    """Counts troubles and pictures of one camera."""
 
     def __init__(self, name: str, warn: Callable[[str], object]) -> None:
         self.name = name
@@ -26,19 +26,19 @@ class Health:
         self.counts: Counter[str] = Counter()
         self.latency = self.drawing = 0.0  # of the last picture [s]
         self.figures: Mapping[str, object] = {}
-        """What else there is to say of the last picture."""
+        """Further values of the last picture, for /diagnostics."""
 
     def trouble(self, kind: str, text: object) -> None:
-        """There is no picture, for a kind of reason."""
+        """Counts a picture that can't be had, by the kind of reason, and logs the text."""
         self.counts[kind] += 1
         self._problem.say(str(text))
 
     def silence(self, text: str) -> None:
-        """There is nothing to make a picture of."""
+        """Logs that nothing has come to make a picture of; counts nothing."""
         self._problem.say(text)
 
     def well(self, latency: float, drawing: float) -> None:
-        """A picture went out, so long after its moment, and after it began to be drawn. [s]"""
+        """Counts a picture. latency: since its stamp; drawing: since its drawing began. [s]"""
         self.counts["pictures"] += 1
         self.latency, self.drawing = latency, drawing
         self._problem.say("")

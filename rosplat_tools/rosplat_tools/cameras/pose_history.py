@@ -1,4 +1,4 @@
-"""Where something was: poses by their times, with what lies between two of them. Pure."""
+"""Poses of a moving frame by their times, interpolated in between. Pure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rosplat_core.quaternions import from_matrices, to_matrices
 SECOND = 10**9  # [ns]
 
 Pose = NDArray[np.float64]
-"""(4, 4), from the frame of what moves into that in which it does. [m]"""
+"""(4, 4), from the moving frame into the frame in which it moves. [m]"""
 
 
 class PoseError(LookupError):
@@ -20,7 +20,7 @@ class PoseError(LookupError):
 
 
 class PoseHistory:
-    """Poses of the last seconds. Times are in nanoseconds; one of 0 holds until the next pose."""
+    """Poses of the last seconds by time [ns]. A pose of time 0 holds until the next pose."""
 
     def __init__(self, keeps: float = 10.0) -> None:
         """keeps: how far back. [s]"""
@@ -28,18 +28,18 @@ class PoseHistory:
         self._poses: list[tuple[int, Pose]] = []
 
     def add(self, stamp: int, pose: Pose) -> None:
-        """Takes a pose. Where time has gone back by more than is kept, the others are forgotten."""
+        """Takes a pose. If time went back by more than is kept, the others are forgotten."""
         if not stamp or (self._poses and stamp < self._poses[-1][0] - self._keeps):
             self._poses.clear()
         if stamp and self._poses and not self._poses[0][0]:
-            self._poses.clear()  # what held until now
+            self._poses.clear()  # the pose of time 0, which held until now
         place = self._place(stamp)
         known = place < len(self._poses) and self._poses[place][0] == stamp
         self._poses[place : place + known] = [(stamp, pose)]
         del self._poses[: self._place(self._poses[-1][0] - self._keeps)]
 
     def _place(self, stamp: int) -> int:
-        """Of the first pose that isn't older."""
+        """Index of the first pose that isn't older."""
         return bisect_left(self._poses, stamp, key=lambda each: each[0])
 
     def newest(self) -> tuple[int, Pose]:
@@ -51,7 +51,7 @@ class PoseHistory:
     def at(self, stamp: int) -> Pose:
         """The pose at a time: position linear, rotation by the shortest turn (slerp).
 
-        Raises PoseError outside of the times that are known.
+        Raises PoseError before the oldest pose and after the newest.
         """
         newest, pose = self.newest()
         oldest = self._poses[0][0]

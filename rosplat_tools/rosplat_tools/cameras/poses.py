@@ -1,4 +1,4 @@
-"""Where cameras are: by TF, or by topics of poses."""
+"""Poses of cameras: from TF, or from topics of poses."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ POSES = QoSProfile(depth=10)
 
 
 class Poses(Protocol):
-    """Where cameras' optical frames are in the map's frame. PoseErrors say why that isn't known."""
+    """Poses of cameras' optical frames in the map's. PoseErrors say why one isn't known."""
 
     def newest(self, camera: str, frame: str, map_frame: str) -> tuple[int, Pose]:
-        """The last pose and its time [ns], LATEST of one that holds."""
+        """Time [ns] and value of the last pose; the time is LATEST if the pose never changes."""
 
     def at(self, camera: str, frame: str, map_frame: str, stamp: int) -> Pose:
         """The pose at a time. [ns]"""
@@ -34,7 +34,7 @@ class Poses(Protocol):
 def declare_poses(node: Node, cameras: list[str], heard: Callable[[], None]) -> Poses:
     """Declares `poses`. heard: called for each pose that comes by a topic.
 
-    Raises SceneError for a source that isn't known, or not here.
+    Raises SceneError for a source that is unknown, or not installed.
     """
     source = declare(
         node, "poses", "tf", "Source of cameras' poses: tf, or topic, PoseStampeds on NAME/pose."

@@ -23,7 +23,7 @@ from rosplat_tools.poses import to_pose
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """Where a camera was by its picture."""
+    """A camera's pose as found by its picture."""
 
     alignment: Alignment
     pose: Pose
@@ -35,13 +35,13 @@ class Refined:
         return _message(self.pose, self.alignment.covariance)
 
     def correction(self) -> PoseWithCovariance:
-        """The pose in the optical frame as it began."""
+        """The refined pose in the optical frame of the start."""
         back = np.linalg.inv(self.start)
         turned = np.kron(np.eye(2), back[:3, :3])
         return _message(back @ self.pose, turned @ self.alignment.covariance @ turned.T)
 
     def figures(self) -> dict[str, float]:
-        """How far off it began, for /diagnostics."""
+        """How far off the start was, for /diagnostics."""
         off = np.linalg.inv(self.start) @ self.pose
         sine = min(float(np.linalg.norm(from_matrices(off[:3, :3])[:3])), 1.0)
         return {
@@ -53,7 +53,7 @@ class Refined:
 def refined(
     renderer: CpuRenderer, taken: Taken[Any], straightened: Straightened, near: float, far: float
 ) -> Refined:
-    """Refines a picture's pose; near, far: as of compare. Raises NoPicture."""
+    """Refines a picture's pose; near, far: as in compare(). Raises NoPicture."""
     colours, counts = straightened.picture(taken.colours, taken.counts)
     camera = replace(straightened.camera, world_to_camera=taken.world_to_lens, near=near, far=far)
     try:

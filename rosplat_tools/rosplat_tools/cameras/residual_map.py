@@ -1,4 +1,4 @@
-"""The map coloured by where it is wrong: errors of pixels dealt to the splats that they show."""
+"""Publishes where the map is wrong: pixels' errors, dealt to the splats that the pixels show."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ from rosplat_tools.map_publisher import MapPublisher
 
 CHANNEL = "residual"
 PERIOD = 2.0  # between two sendings, at least [s]
-KEPT = 0.9  # of a splat's sums, by each picture that shows it
-LEAST_WEIGHT = 0.25  # of a splat in all pictures, for a value [px]
-LEAST_CHANGE = 0.005  # of a value that is sent again
+KEPT = 0.9  # share of a splat's sums that each picture of it keeps
+LEAST_WEIGHT = 0.25  # of a splat, over its pictures; with less it has no value [px]
+LEAST_CHANGE = 0.005  # values that change by less aren't sent again
 
 
 class ResidualMap:
     """Publishes a copy of a map on `residuals`, in the same slots, with a channel "residual".
 
-    A splat's value is the mean error of the pixels that show it, weighted by what it contributes to
-    each, over about the last ten pictures that do; it begins anew where the splat is written, and
-    for all where a group moves.
+    A splat's value is the mean error of the pixels that show it, weighted by its contribution to
+    each, over about the last ten pictures of it. Writing a splat resets its value; a REPLACE or a
+    MOVE resets all values.
     """
 
     def __init__(self, node: Node, drawn_map: DrawnMap) -> None:
         self._map = drawn_map
         self._map.applied = self._take
         self._publisher = MapPublisher(node, topic="residuals")
-        self._due = 0.0  # when something may be sent
-        self._pending = False  # whether pictures came since
+        self._due = 0.0  # earliest time of the next sending
+        self._pending = False  # whether pictures came since the last sending
         self._begin()
 
     def _begin(self) -> None:
-        """All values begin anew, and all of the map is sent."""
+        """Resets all values; the next sending has the whole map."""
         self._sums = np.zeros((2, 0), np.float32)  # by slot: errors times weights, and weights
-        self._written: list[NDArray[np.uint32]] = []  # slots since the last sending
-        self._slots: NDArray[np.uint32] | None = None  # that were sent
+        self._written: list[NDArray[np.uint32]] = []  # slots written since the last sending
+        self._slots: NDArray[np.uint32] | None = None  # in use at the last sending
         self._values = np.zeros(0, np.float32)  # by slot, as they were sent
 
     def _take(self, batch: GaussianArray) -> None:
@@ -56,7 +56,7 @@ class ResidualMap:
         self._sums[:, slots[slots < self._sums.shape[1]]] = 0
 
     def add(self, found: Compared, near: float, far: float) -> None:
-        """Deals the errors of a picture's pixels, of those that count."""
+        """Deals the errors of those of a picture's pixels that count."""
         counts = found.mask.astype(np.float32)
         of_pixels = zip(
             found.warp.cameras(found.world_to_lens, near, far),
@@ -76,7 +76,7 @@ class ResidualMap:
         self._pending = True
 
     def publish(self) -> None:
-        """Sends what has changed, if that is due."""
+        """Sends the splats that have changed, if a sending is due."""
         if not self._pending or time.monotonic() < self._due:
             return
         self._pending, self._due = False, time.monotonic() + PERIOD
@@ -108,7 +108,7 @@ class ResidualMap:
 
 
 def grown(by_slot: NDArray[np.float32], capacity: int, by: float = 0.0) -> NDArray[np.float32]:
-    """An array whose last axis is as long as a map has slots."""
+    """The array, its last axis padded to at least the number of a map's slots."""
     more = max(0, capacity - by_slot.shape[-1])
     widths = [(0, 0)] * (by_slot.ndim - 1) + [(0, more)]
     return np.pad(by_slot, widths, constant_values=by)

@@ -1,7 +1,7 @@
-"""What a real camera took: pictures by topics, each with lens, mask and pose.
+"""Pictures of a real camera, from topics, each with lens, mask and pose.
 
-Hears `image_raw`, `camera_info` and `mask`, and poses by TF or on `pose`. Of pictures that came
-while one was used, the newest counts.
+Hears `image_raw`, `camera_info` and `mask`, and poses by TF or on `pose`. Of the pictures that came
+while another was in use, only the newest is used.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from rosplat_tools.images import from_image, read_mask
 from rosplat_tools.program.parameters import declare
 
 WAITING = 8  # pictures that wait for their poses
-SILENCE = 5.0  # after which it is said that no picture has come [s]
-PATIENCE = 1.0  # with pictures whose poses aren't known [s]
+SILENCE = 5.0  # after which the log says that no picture has come [s]
+PATIENCE = 1.0  # how long pictures wait for poses before a warning [s]
 
 Optics = TypeVar("Optics")
 
@@ -45,13 +45,13 @@ class Taken(Generic[Optics]):
     colours: NDArray[np.uint8]
     """(height, width, 3) RGB."""
     counts: NDArray[np.bool_]
-    """(height, width) which pixels the mask leaves in."""
+    """(height, width) true of pixels that the mask leaves in."""
     optics: Optics
-    """What was made of the lens."""
+    """What `prepare` made of the lens."""
     rotation: Pose
-    """(4, 4) from the optical frame into the lens's, of rectified pictures."""
+    """(4, 4) from the optical frame into the lens's; the identity unless rectified."""
     pose: Pose
-    """(4, 4) of the optical frame in the map's, as it is known."""
+    """(4, 4) of the optical frame in the map's, before any refinement. [m]"""
 
     @property
     def world_to_lens(self) -> NDArray[np.float64]:
@@ -65,7 +65,7 @@ class Taken(Generic[Optics]):
 
 
 class PictureReader(Generic[Optics]):
-    """Takes a picture with its CameraInfo and its mask. Keeps the lens from one to the next."""
+    """Reads pictures with their CameraInfo and mask. Keeps the lens between pictures."""
 
     def __init__(
         self,
@@ -74,8 +74,9 @@ class PictureReader(Generic[Optics]):
         rectified: bool = False,
         mask: NDArray[np.bool_] | None = None,
     ) -> None:
-        """prepare: what each lens is made into once; may raise LensError. rectified: pictures are,
-        by r and p of their CameraInfo. mask (height, width): false of pixels that don't count.
+        """prepare: called once with each lens; may raise LensError. rectified: whether pictures are
+        rectified, by r and p of their CameraInfo. mask (height, width): false where pixels don't
+        count.
         """
         self._prepare, self._rectified, self.mask = prepare, rectified, mask
         self._lens: tuple[CameraInfo, Optics, Pose] | None = None
@@ -119,7 +120,7 @@ class PictureReader(Generic[Optics]):
 
 
 class TakenPictures(Generic[Optics]):
-    """Of one camera. Callbacks hand over; next() and read() are of the drawing thread."""
+    """Pictures of one camera. Callbacks queue them; the drawing thread calls all else."""
 
     def __init__(
         self,
@@ -128,7 +129,7 @@ class TakenPictures(Generic[Optics]):
         prepare: Callable[[Lens], Optics],
         heard: Callable[[], None],
     ) -> None:
-        """prepare: what each lens is made into once; may raise LensError.
+        """prepare: called once with each lens; may raise LensError.
 
         Declares poses, rectified, mask, near and far. Raises SceneError.
         """
@@ -143,7 +144,7 @@ class TakenPictures(Generic[Optics]):
         self._map, self._heard = drawn_map, heard
         self._poses = declare_poses(node, [""], heard)
         self._images: deque[Image] = deque(maxlen=WAITING)
-        self._began = self._poseless_since = time.monotonic()  # while pictures wait
+        self._began = self._poseless_since = time.monotonic()  # since when pictures wait for poses
         self._info: CameraInfo | None = None
         self.newest: Image | None = None
         """The last picture that came, whether or not it was used."""
@@ -163,7 +164,7 @@ class TakenPictures(Generic[Optics]):
         self._heard()
 
     def _on_info(self, info: CameraInfo) -> None:
-        info.header = Header()  # whatever its time, it is the same calibration
+        info.header = Header()  # with another time it is the same calibration
         if info != self._info:
             self._info = info
 
@@ -176,13 +177,13 @@ class TakenPictures(Generic[Optics]):
     # --- Of the drawing thread --------------------------------------------------------------------
 
     def forget(self) -> None:
-        """Nobody wants the pictures that wait."""
+        """Drops the pictures that wait: nobody wants them."""
         self._drop(len(self._images))
 
     def next(self) -> Taken[Optics] | None:
-        """Of the pictures whose poses are known, the newest; older ones are done with.
+        """The newest picture whose pose is known. Drops it and older ones from the queue.
 
-        None where none waits, or poses may yet come. Raises NoPicture.
+        None if no picture waits, or if poses may yet come. Raises NoPicture.
         """
         images = list(self._images)
         now = time.monotonic()
@@ -197,7 +198,7 @@ class TakenPictures(Generic[Optics]):
             try:
                 pose = self._pose_of(image)
             except PoseError as error:
-                # Not by picture: fast cameras push those out before they have waited so long.
+                # Not one picture's wait: a fast camera pushes each out of the queue before that.
                 if number == 0 and now - self._poseless_since > PATIENCE:
                     self._drop(len(images))
                     self._poseless_since = now

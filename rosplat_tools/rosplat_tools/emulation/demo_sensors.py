@@ -43,13 +43,13 @@ from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run_node
 from rosplat_tools.view_messages import view_camera
 
-# The wheels of PyPI don't have it.
+# The wheels of PyPI lack tf2_msgs.
 try:
     from tf2_msgs.msg import TFMessage
 except ImportError:
     TFMessage = None
 
-# Reliable: readers that ask for best effort are served as well. Deep: a late tick sends in bursts.
+# Reliable: such a publisher serves best-effort subscribers, too. Deep: late ticks send bursts.
 SENSOR = QoSProfile(depth=100)
 # As tf2_ros has them.
 TF = QoSProfile(depth=100)
@@ -61,17 +61,17 @@ CAMERA = "demo_camera_optical"
 SECOND = 10**9  # [ns]
 IMU_RATE = 200  # of TF, too [Hz]
 IMAGE_RATE = 10  # of camera poses, and at most of pictures [Hz]
-BACKLOG = SECOND // 2  # what a late tick makes up for [ns]
-MAP_TIMEOUT = 3.0  # how much of a map is waited for before the path is laid [s]
-MAP_SAMPLES = 2000  # positions of a batch that the path is laid around
+BACKLOG = SECOND // 2  # the longest delay that a tick makes up for [ns]
+MAP_TIMEOUT = 3.0  # how long the rest of a map is waited for before the path is laid [s]
+MAP_SAMPLES = 2000  # most positions of a batch that the path is laid around
 ORDER_TIMEOUT = 0.2  # what a renderer may wait for a sorter [s]
-PICTURE_TIMEOUT = 5.0  # after this, a renderer will not answer any more [s]
+PICTURE_TIMEOUT = 5.0  # after which a renderer's answer is given up [s]
 BACKGROUND = np.array([32, 34, 38]) / 255  # as in the shipped rviz configuration
 
 
 @dataclass
 class Beat:
-    """Moments at whole multiples of a period, so that a late tick shifts none of them. [ns]"""
+    """Moments at whole multiples of a period [ns]: a late tick shifts none of them."""
 
     period: int
     last: int = 0
@@ -190,7 +190,7 @@ class DemoSensors(Node):
         now = self.get_clock().now().nanoseconds
         motions = [(stamp, self._motion(flight, stamp)) for stamp in self._imu_beat.due(now)]
         if motions and self._tf:
-            # Before the measurements, and for the newest: displays look it up for each of them.
+            # Before the measurements, for the newest: displays look the pose up for each of them.
             stamp, motion = motions[-1]
             transform = _transform(
                 _time(stamp), self._frame_id, BODY, motion.position, motion.attitude
@@ -327,7 +327,7 @@ def _vector(values: NDArray[np.float64]) -> Vector3:
 
 
 def _covariance(deviation: float) -> NDArray[np.float64]:
-    """Of three independent values; never all zero, which would mean unknown."""
+    """(9,) of three independent values; never all zero, which would mean unknown."""
     return np.eye(3).ravel() * max(deviation**2, 1e-9)
 
 

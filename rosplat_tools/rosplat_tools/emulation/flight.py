@@ -19,13 +19,13 @@ Array = NDArray[np.float64]
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])
 
-# Waves in a round, of whole numbers: the path closes. Their heights, in parts of the radius [1] and
-# as angles [rad].
+# Waves in a round, whole numbers so that the path closes, and their amplitudes: of BOBS in parts of
+# the radius [1], of the others as angles [rad].
 BOBS, BOB = 3, 0.06
 ROLLS, ROLL = 5, 0.12
 PITCHES, PITCH = 4, 0.07
 
-CAMERA_OFFSET = 0.1  # of the camera, ahead of the IMU [m]
+CAMERA_OFFSET = 0.1  # by which the camera is ahead of the IMU [m]
 FIELD_OF_VIEW = 1.0  # of the picture's height [rad]
 
 
@@ -51,7 +51,7 @@ class Attitude:
 
     @property
     def quaternion(self) -> tuple[float, float, float, float]:
-        """The same as x, y, z, w."""
+        """The same rotation as x, y, z, w."""
         (sr, cr), (sp, cp), (sy, cy) = (
             _sin_cos(angle / 2) for angle in (self.roll, self.pitch, self.yaw)
         )
@@ -94,7 +94,7 @@ class Flight:
 
     @classmethod
     def around(cls, positions: Array, period: float) -> Flight:
-        """Around the middle of the positions (n, 3), which a few far ones don't change. [m]"""
+        """A flight around the middle of positions (n, 3) [m], which a few far ones don't change."""
         low, high = np.quantile(positions, [0.05, 0.95], axis=0)
         reach = max(float(np.linalg.norm(high - low)) / 2, 0.01)
         return cls((low + high) / 2, 1.2 * reach, 0.5 * reach, period)
@@ -120,7 +120,7 @@ class Flight:
 
     @property
     def mount(self) -> Attitude:
-        """Of the camera's optical frame on the body, CAMERA_OFFSET ahead: it sees the centre."""
+        """Attitude of the optical frame on the body, CAMERA_OFFSET ahead: it faces the centre."""
         down = math.atan2(self.height, self.radius)
         return Attitude(-math.pi / 2 - down, 0.0, -math.pi / 2)
 

@@ -47,7 +47,7 @@ def around(splats: Splats) -> Splats:
 
 
 def with_keyframes(splats: Splats, batch_size: int) -> Splats:
-    """The splats with a further channel, keyframe: which batch of so many each comes in, from 0."""
+    """The splats with a channel keyframe: the number, from 0, of the batch that each is in."""
     keyframes = (np.arange(len(splats)) // batch_size).astype(np.float32)
     return replace(splats, channels={**splats.channels, "keyframe": keyframes})
 
@@ -111,7 +111,7 @@ def _edits(
 
 
 def _step(splats: Splats, drift: float, rng: np.random.Generator) -> NDArray[np.float64]:
-    """A little turn about the splats' middle, and a little way. [m]"""
+    """A small random turn about the splats' middle and a small random shift, (4, 4). [m]"""
     middle = np.median(splats.positions, axis=0).astype(np.float64) if len(splats) else np.zeros(3)
     turn = frame_at(rng.normal(scale=drift, size=3), (*rng.normal(scale=DRIFT, size=3), 1.0))
     step: NDArray[np.float64] = frame_at(middle) @ turn @ frame_at(-middle)

@@ -24,7 +24,7 @@ class SlamEmulator(Node):
 
     def __init__(self) -> None:
         """Loads the scene and starts the timer. Raises SceneError."""
-        self._bar = tqdm(disable=True)  # first: since Kilted, half a node is destroyed, too
+        self._bar = tqdm(disable=True)  # first: since Kilted, half-made nodes are destroyed, too
         super().__init__("slam_emulator")
         path = declare(self, "path", f"{PROCEDURAL}500000", f"Scene to arrive at: {NAMES}.")
         frame_id = declare(self, "frame_id", "map", "Frame that the scene's coordinates are in.")

@@ -28,7 +28,7 @@ from rosplat_tools.program.running import Cancelled, run_node
 
 
 class Follow(Node):
-    """Publishes on `gaussians` what it hears or reads last."""
+    """Publishes on `gaussians` the map that it heard or read last."""
 
     def __init__(self) -> None:
         super().__init__("follow")
@@ -75,7 +75,7 @@ class Follow(Node):
         try:
             splats = load_scene(str(version.path), self._go_on, self.get_logger().warning)
         except SceneError as error:
-            self._refuse(error)  # what is being written isn't whole
+            self._refuse(error)  # a file that is being written isn't whole
             return
         if self._file.is_still(version):
             self._show(splats, "", str(version.path))

@@ -29,15 +29,15 @@ _TYPES = {
 def from_point_cloud(message: PointCloud2, name: str, warn: Warn) -> Splats:
     """Splats from a cloud whose fields are called, and mean, what a PLY's properties do.
 
-    Those are x y z, f_dc_*, opacity as logit, scale_* as logarithm, rot_* with w first, and
-    f_rest_* where there are any. name is for errors to name. Raises SceneError for a cloud without
-    them, or one that contradicts itself.
+    The fields are x y z, f_dc_*, opacity as logit, scale_* as logarithm, rot_* with w first, and
+    f_rest_* where there are any. name: of the cloud, for errors. Raises SceneError for a cloud
+    without the fields, or one that contradicts itself.
     """
     return ply.from_rows(Path(name), _rows(message, name), lambda _: None, warn, IntoSplats())
 
 
 def _rows(message: PointCloud2, name: str) -> NDArray[np.void]:
-    """A cloud's points as a structured array, which looks into the message."""
+    """A cloud's points as a structured array, a copy only if the rows are padded."""
     step, width, height = message.point_step, message.width, message.height
     fields = {f.name: f for f in message.fields if f.count == 1 and f.datatype in _TYPES}
     order = ">" if message.is_bigendian else "<"

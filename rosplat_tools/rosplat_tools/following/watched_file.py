@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 
 class Version(NamedTuple):
-    """A file as it was once."""
+    """A file as it was at one time."""
 
     path: Path
     inode: int
     bytes: int
     written: int
-    """[ns]"""
+    """Time of the last change. [ns]"""
 
 
 class WatchedFile:
@@ -28,7 +28,7 @@ class WatchedFile:
         self._told: Version | None = None
 
     def poll(self) -> Version | None:
-        """What was written since the last that was told, once it is as it was a poll before."""
+        """The newest version, once, if it is the same as at the poll before; else None."""
         newest = self._newest()
         rests, self._seen = newest == self._seen, newest
         if newest is None or not rests or newest == self._told:
@@ -37,11 +37,11 @@ class WatchedFile:
         return newest
 
     def is_there(self) -> bool:
-        """Whether there is one now."""
+        """Whether a file matches now."""
         return self._newest() is not None
 
     def is_still(self, version: Version) -> bool:
-        """Whether nobody has written since: then what was read meanwhile is whole."""
+        """Whether nobody has written since: if so, what was read meanwhile is whole."""
         return _version(version.path) == version
 
     def _newest(self) -> Version | None:

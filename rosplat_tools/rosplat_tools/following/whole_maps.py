@@ -19,7 +19,7 @@ class _Shown:
     """A map as it was sent: its splats, their ids, and their slots."""
 
     splats: Splats
-    """(n,) by id, a copy: authors go on in the same arrays."""
+    """(n,) by id, a copy: authors reuse their arrays."""
     ids: NDArray[np.int64]
     """(n,) ascending."""
     slots: NDArray[np.intp]
@@ -67,7 +67,7 @@ class WholeMaps:
     def _edit(
         self, before: _Shown, splats: Splats, ids: NDArray[np.int64], rows: NDArray[np.intp]
     ) -> int | None:
-        """Sends what differs, if that can be done and is less than half; else None."""
+        """Sends the splats that differ; returns how many, or None if that can't be or most do."""
         if splats.antialiased != before.splats.antialiased or np.any(
             splats.origin != before.splats.origin
         ):
@@ -88,7 +88,7 @@ class WholeMaps:
         emptied = np.setdiff1d(gone, free, assume_unique=True)
         changed = np.flatnonzero(differs)
         moved = self._publisher.frame_id != before.frame_id
-        if len(emptied) or (moved and not len(changed)):  # any batch tells of the map's frame
+        if len(emptied) or (moved and not len(changed)):  # any batch carries the map's frame
             self._publisher.delete(emptied)
         if len(changed):
             self._publisher.upsert(slots[changed], splats[rows[changed]])
@@ -97,7 +97,7 @@ class WholeMaps:
 
 
 def _order(splats: Splats) -> NDArray[np.intp]:
-    """The order of a map's slots, those last that have no place in it."""
+    """The order of a map's slots; splats that aren't finite come last."""
     placed = np.isfinite(splats.positions).all(axis=1) & np.isfinite(splats.scales).all(axis=1)
     if placed.all():
         return slot_order(splats)
@@ -108,17 +108,17 @@ def _order(splats: Splats) -> NDArray[np.intp]:
 def _checked(ids: NDArray[np.generic], n: int) -> NDArray[np.int64]:
     if ids.shape != (n,):
         raise ValueError(f"ids: expected shape {(n,)}, got {ids.shape}")
-    if n and not np.issubdtype(ids.dtype, np.integer):  # an empty list is one of floats
+    if n and not np.issubdtype(ids.dtype, np.integer):  # NumPy makes floats of an empty list
         raise ValueError(f"ids: expected integers, got {ids.dtype}")
-    return ids.astype(np.int64)  # those beyond it wrap, and stay different
+    return ids.astype(np.int64)  # larger ids wrap, and stay different
 
 
 def _differ(
     before: Splats, old: NDArray[np.intp], after: Splats, new: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
-    """(n,) whether the i-th of some rows of one map differs from the i-th of another's.
+    """(n,) whether row old[i] of one map differs from row new[i] of the other.
 
-    By their bits: NaN is what it was before.
+    Compares bits, so that NaN equals NaN.
     """
     degree = max(before.sh_degree, after.sh_degree)
     a, b = before.with_sh_degree(degree), after.with_sh_degree(degree)

@@ -51,15 +51,15 @@ from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run_node
 from rosplat_tools.program.said_once import SaidOnce
 
-# As map_server has its grid.
+# As of map_server's grid.
 LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
 )
-STILL = 1e-3  # what a frame may turn before the voxels are built anew [rad]
-SHRUNK = 0.9  # share of its splats with which a map of too many voxels is tried again
+STILL = 1e-3  # how far a frame may turn before the voxels are built anew [rad]
+SHRUNK = 0.9  # a map of too many voxels is tried again with at most this share of its splats
 
 
 class Occupancy(Node):
@@ -107,14 +107,14 @@ class Occupancy(Node):
         except SceneError as error:
             raise SceneError(f"frames other than the map's need TF: {error}") from error
         self._map_in_grid: NDArray[np.float64] = np.eye(4)
-        self._level = 0.0  # that the band is over
+        self._level = 0.0  # height of the band's 0 in the published frame [m]
         self._places = 0  # how often the voxels were placed
-        self._splats_when_full = 0  # of a map of too many voxels
+        self._splats_when_full = 0  # splats of a map of too many voxels, else 0
         warn = self.get_logger().warning
         self._problem, self._left_out = SaidOnce(warn), SaidOnce(warn)
-        self._not_free = ""  # why no cell of the grid is
+        self._not_free = ""  # why no cell of the grid is free
         self._map = MapSubscriber(self, self._voxels, most_sh_degree=0)
-        topic = self._map.topic  # remapping it takes the others along
+        topic = self._map.topic  # remapping it remaps the others
         outputs: list[tuple[str, type, Callable[[Header], Any]]] = [
             ("occupancy", OccupancyGrid, self._grid_message),
             ("voxels", PointCloud2, self._voxels_message),
@@ -152,7 +152,7 @@ class Occupancy(Node):
         self._problem.say(self._not_free)
 
     def _find_problem(self) -> str:
-        """Why the voxels aren't those of the whole map where TF has it now; empty: they are."""
+        """Why the voxels don't show the whole map at its pose of now; empty if they do."""
         if problem := self._map.problem():
             return problem
         try:
@@ -167,8 +167,8 @@ class Occupancy(Node):
         return ""
 
     def _fits(self) -> bool:
-        """Whether the voxels are held. Those of a map that was too large are tried again where many
-        of its splats are gone, not after each edit: that takes up to a minute.
+        """Whether the map's voxels fit. A map that was too large is tried again once many of its
+        splats are gone, not after each edit: each try takes up to a minute.
         """
         splats = self._map.books.splats
         if self._voxels.full and splats <= SHRUNK * self._splats_when_full:
@@ -224,7 +224,7 @@ class Occupancy(Node):
         return grid
 
     def _grid_message(self, header: Header) -> OccupancyGrid:
-        return grid_message(header, self._grid(), self._level + self._band[0])  # over the floor
+        return grid_message(header, self._grid(), self._level + self._band[0])  # above the floor
 
     def _voxels_message(self, header: Header) -> PointCloud2:
         cells, _ = self._voxels.find(self._least_depth)
@@ -263,7 +263,7 @@ class Occupancy(Node):
 
 
 class _Output:
-    """A topic whose message is made anew where somebody listens and the map has changed."""
+    """A topic. Its message is made anew if it has subscribers and the map has changed."""
 
     def __init__(self, publisher: Publisher, make: Callable[[Header], Any]) -> None:
         self._publisher, self._make = publisher, make
@@ -271,7 +271,7 @@ class _Output:
 
     @property
     def subscribers(self) -> int:
-        """How many listen."""
+        """Number of subscribers."""
         return int(self._publisher.get_subscription_count())
 
     def update(self, header: Header, version: object) -> None:

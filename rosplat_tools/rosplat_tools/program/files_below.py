@@ -1,4 +1,4 @@
-"""Files that peers name: only below a folder that a parameter names."""
+"""Checks that files named by peers are below a folder that a parameter names."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from rosplat_core.splats import SceneError
 
 
 def check_below(parameter: str, root: str, path: str) -> None:
-    """Raises SceneError for a path that leads out of a folder, by links or otherwise."""
+    """Raises SceneError unless path is below root, links followed. An empty root allows none."""
     try:
         if root and Path(path).resolve().is_relative_to(Path(root).resolve()):
             return

@@ -21,7 +21,7 @@ def declared(arguments: Mapping[str, tuple[str, str]]) -> list[DeclareLaunchArgu
 
 
 def room_for_maps(context: LaunchContext) -> list[SetEnvironmentVariable]:
-    """In Fast DDS's shared memory, for the programs that follow, where there is any."""
+    """Gives the programs that follow room for maps in Fast DDS's shared memory, if it has any."""
     profile = fast_dds_profile(context.environment)
     return [SetEnvironmentVariable(name, value) for name, value in profile.items()]
 
@@ -57,7 +57,7 @@ def program(package: str, executable: str, **parameters: object) -> Node:
 
 
 def publisher(scene: str, frame_id: str, max_splats: int, **parameters: object) -> Node:
-    """What publishes a scene; max_splats: of one that is streamed."""
+    """The node that publishes a scene. max_splats: the most of a streamed one."""
     name, parameters = "ply_publisher", parameters | {"path": scene, "frame_id": frame_id}
     if scene.endswith("lod-meta.json"):
         name, parameters = "stream_publisher", parameters | {"max_splats": max_splats}

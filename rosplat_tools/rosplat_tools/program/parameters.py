@@ -1,4 +1,4 @@
-"""Parameters that say what they are: every one has a description, numbers have a range."""
+"""Declares parameters: each has a description, numbers have a range."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def declare(
     low: float | None = None,
     high: float | None = None,
 ) -> Any:
-    """Declares a parameter that is set at the start only, from low to high; returns its value.
+    """Declares a read-only parameter, a number from low to high if given; returns its value.
 
     Raises SceneError for no value, one of another type or one out of range.
     """
@@ -35,7 +35,7 @@ def declare(
         value = node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         raise SceneError(str(error)) from error
-    if value is None:  # which rclpy makes of an empty list, whatever the type is
+    if value is None:  # rclpy makes None of an empty list, whatever the type
         raise SceneError(f"parameter {name}: has no value")
     return value
 

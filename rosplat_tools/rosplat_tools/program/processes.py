@@ -22,7 +22,7 @@ ENDINGS = (signal.SIGINT, signal.SIGTERM)
 GRACE = 5.0  # what a program gets to end by itself [s]
 
 
-# Who sets one of these has wishes of their own for Fast DDS.
+# A user who sets one of these has configured Fast DDS already.
 FAST_DDS_WISHES = (
     "FASTDDS_BUILTIN_TRANSPORTS",
     "FASTDDS_DEFAULT_PROFILES_FILE",
@@ -40,7 +40,7 @@ class ProcessError(RuntimeError):
 def fast_dds_profile(environment: Mapping[str, str]) -> dict[str, str]:
     """The variable that gives Fast DDS the profile of rosplat_msgs, which has room for maps.
 
-    None where the environment has wishes of its own, or shared memory is small, as in a container.
+    Empty if the environment sets one of FAST_DDS_WISHES, or shared memory is small (containers).
     """
     from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
@@ -56,7 +56,7 @@ def fast_dds_profile(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 def quoted(text: object) -> str:
-    """Text as the value of a parameter, `-p name:=value`: as it is, ROS reads it as YAML."""
+    """Text as the value of a parameter, `-p name:=value`: unquoted, ROS reads it as YAML."""
     return "'" + str(text).replace("'", "''") + "'"
 
 
@@ -66,7 +66,7 @@ _interrupted_at: float | None = None  # of time.monotonic()
 def interrupt_by_signals() -> None:
     """Makes SIGTERM end this program as Ctrl-C does: by KeyboardInterrupt, block by block.
 
-    At once, wherever the main thread waits: see _Waker.
+    The exception comes at once, wherever the main thread waits: see _Waker.
     """
     global _interrupted_at
     _interrupted_at = None
@@ -77,11 +77,11 @@ def interrupt_by_signals() -> None:
 
 
 class _Waker:
-    """Has the main thread hear of a signal that lands just before it begins to wait.
+    """Wakes the main thread for a signal that lands just before that thread begins to wait.
 
     Python runs handlers in the main thread, between two steps of a program. A system call that has
-    begun by then, or that another thread's signal doesn't interrupt, goes on to its end first. So a
-    thread, which each signal wakes, interrupts the main one until that has run its handlers.
+    begun by then, or that another thread's signal doesn't interrupt, goes on to its end first. So
+    each signal wakes a thread, which interrupts the main thread until its handlers have run.
     """
 
     running: _Waker | None = None
@@ -118,16 +118,16 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 def since_interrupt() -> float:
     """How long ago a signal first interrupted this program, 0 where none has. [s]
 
-    That may be seen here alone: Python drops what is raised in a destructor, or as an import ends.
+    An interrupt may show here alone: Python drops what destructors or ends of imports raise.
     """
     return time.monotonic() - _interrupted_at if _interrupted_at else 0.0
 
 
 def run_module(program: str, module: str, arguments: list[str] | None = None) -> int:
-    """The exit code of a module's main, a command's or a node's.
+    """Runs the main of a module, a command's or a node's; returns the exit code.
 
-    Loading it takes seconds, interrupted as quietly as later. A library, or rviz_gaussian_plugin,
-    that is not here is named.
+    An interrupt is quiet even while the module is loaded, which takes seconds. A library, or
+    rviz_gaussian_plugin, that is missing is named.
     """
     interrupt_by_signals()
     try:
@@ -142,7 +142,7 @@ def run_module(program: str, module: str, arguments: list[str] | None = None) ->
     except KeyboardInterrupt:
         return 130
     except Exception:
-        if since_interrupt():  # libraries in C make other exceptions of it as they load
+        if since_interrupt():  # libraries in C turn KeyboardInterrupt into others as they load
             return 130
         raise
     finally:
@@ -164,7 +164,7 @@ def end_with_parent() -> None:
 class Processes:
     """Starts programs and ends all of them, last started first, when the `with` block is left.
 
-    They end with this program however it ends. For the main thread, which is where signals arrive.
+    The programs end with this one, however it ends. For the main thread, where signals arrive.
     """
 
     def __init__(self, log_folder: Path) -> None:
@@ -198,7 +198,7 @@ class Processes:
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=subprocess.STDOUT,
-                    # What a program says last is then what it said last.
+                    # Unbuffered, or a log would lack what a program said last.
                     env=os.environ
                     | {"PYTHONUNBUFFERED": "1"}
                     | fast_dds_profile(os.environ | environment)
@@ -222,7 +222,7 @@ class Processes:
         return self.folder / f"{name}.log"
 
     def check(self, but: subprocess.Popen[bytes] | None = None) -> None:
-        """Raises ProcessError if one of the programs, but for that one, has ended."""
+        """Raises ProcessError if a program other than `but` has ended."""
         for name, process in self._running:
             if process is not but and process.poll() is not None:
                 raise ProcessError(
@@ -230,7 +230,7 @@ class Processes:
                 )
 
     def forget(self, process: subprocess.Popen[bytes]) -> None:
-        """Lets a program that has ended have ended."""
+        """Forgets a program that has ended: check() no longer raises for it."""
         self._running = [entry for entry in self._running if entry[1] is not process]
 
     def said(self, name: str) -> str:
@@ -265,7 +265,7 @@ class Processes:
 
 
 def node_command(package: str, executable: str, *arguments: str) -> list[str]:
-    """What `ros2 run` would start, without needing ros2. Raises ProcessError where it lacks."""
+    """The command that `ros2 run` would start. Raises ProcessError if the package is missing."""
     from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
     try:

@@ -33,9 +33,9 @@ from rosplat_sorter.memory import give_back_large_blocks
 from rosplat_sorter.mistakes import Mistakes
 from rosplat_tools.program.processes import interrupt_by_signals, since_interrupt
 
-GRACE = 0.5  # what callbacks get to end before ROS does [s]
-BREATH = 0.0002  # in which a thread begins with a callback [s]
-LOST = 3.0  # after a signal, nobody has heard of its exception [s]
+GRACE = 0.5  # time that callbacks get to end before ROS ends [s]
+BREATH = 0.0002  # pause in which a thread can begin with a callback [s]
+LOST = 3.0  # so long after a signal, its exception counts as lost [s]
 
 
 AnyNode = TypeVar("AnyNode", bound=Node)
@@ -49,7 +49,7 @@ def run(program: str, body: Callable[[], None]) -> None:
     """Runs body with ROS set up until it returns, or SIGINT or SIGTERM interrupts it.
 
     A SceneError, RuntimeError, OSError or MemoryError ends the program by a line, with code 1, as
-    does a parameter of another type, use_sim_time too, which rclpy reads.
+    does a parameter of a wrong type, even use_sim_time, which rclpy reads.
     """
     _run(program, body, body.__module__)
 
@@ -62,7 +62,7 @@ def run_node(
 ) -> None:
     """Runs a node as `run` does: its callbacks in threads of their own, its work in this one.
 
-    work: by default there is none until a signal comes.
+    work: by default waits for a signal.
     """
 
     def body() -> None:
@@ -97,8 +97,8 @@ def _run(program: str, body: Callable[[], None], module: str) -> None:
 def spinning(node: Node, threads: int = 1) -> Iterator[None]:
     """Runs a node's callbacks in threads of their own while the block runs, then destroys it.
 
-    A callback that raises ends ROS, which the block may see; it is raised here after the block. A
-    signal whose exception got lost ends ROS, too.
+    An exception of a callback ends ROS, which the block may see, and is raised here after the
+    block. A signal whose exception got lost ends ROS, too.
     """
     Mistakes(node)
     executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
@@ -109,15 +109,15 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
     def spin() -> None:
         begun.set()
         try:
-            # Not executor.spin: only the end of ROS ends that, in the middle of a callback.
+            # Not executor.spin(): only the end of ROS ends it, in the middle of a callback.
             while not ending.is_set():
                 executor.spin_once(0.1)
                 if since_interrupt() > LOST:
                     node.context.try_shutdown()
                     return
                 if threads > 1:
-                    # Until one of its threads begins with it, rclpy (up to Jazzy) hands a callback
-                    # to them again and again, and Python's lock to nobody.
+                    # Up to Jazzy, rclpy hands a callback to its threads again and again until one
+                    # begins with it. Without a pause, none of them gets Python's lock.
                     time.sleep(BREATH)
         except BaseException:
             node.context.try_shutdown()
@@ -127,14 +127,14 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
 
     with ThreadPoolExecutor(1) as pool:
         try:
-            spun = pool.submit(spin)  # Ctrl-C may come when the thread runs, but has no name here
+            spun = pool.submit(spin)  # Ctrl-C may come when the thread runs, but before spun is set
             yield
         finally:
             ending.set()
-            if begun.is_set():  # else it will find that it has nothing to do
+            if begun.is_set():  # else it will find `ending` set
                 ended.wait()
             _wait_for_callbacks(executor, GRACE)
-            node.context.try_shutdown()  # what still runs sees that, and gives up
+            node.context.try_shutdown()  # callbacks that still run see that and end
             _wait_for_callbacks(executor, math.inf)
             _tell_of_callbacks(executor)
             executor.shutdown()
@@ -144,7 +144,7 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
 
 
 def _wait_for_callbacks(executor: Executor, timeout: float) -> None:
-    # As executor.shutdown(timeout) promises; up to Jazzy it doesn't wait for other threads.
+    # Up to Jazzy, executor.shutdown(timeout) promises this but doesn't wait for other threads.
     deadline = time.monotonic() + timeout
     while not all(task.done() for task in getattr(executor, "_futures", [])):
         if time.monotonic() > deadline:
@@ -153,8 +153,8 @@ def _wait_for_callbacks(executor: Executor, timeout: float) -> None:
 
 
 def _tell_of_callbacks(executor: Executor) -> None:
-    # rclpy tells of every error that nobody asks for. Since Kilted, nodes end with ROS, and what a
-    # callback then answers or publishes is an InvalidHandle.
+    # rclpy itself reports every error that nobody fetches. Since Kilted, nodes end with ROS: a
+    # callback that answers or publishes later raises InvalidHandle, which is no news.
     for task in getattr(executor, "_futures", []):
         error = task.exception()
         if error and not isinstance(error, InvalidHandle):
@@ -162,6 +162,6 @@ def _tell_of_callbacks(executor: Executor) -> None:
 
 
 def wait_for_end(node: Node) -> None:
-    """Until a signal comes or a callback raises."""
+    """Waits until a signal comes or a callback raises."""
     while node.context.ok():
         time.sleep(0.1)

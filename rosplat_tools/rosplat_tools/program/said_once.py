@@ -1,4 +1,4 @@
-"""Trouble that is said when it begins, not each time."""
+"""Logs trouble when it begins, not each time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 class SaidOnce:
-    """What is wrong. The same words, whatever numbers are in them, are said once, until all is
+    """Logs what is wrong. The same words, whatever their numbers, are logged once until all is
     well.
     """
 

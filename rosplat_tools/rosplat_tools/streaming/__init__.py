@@ -1,1 +1,1 @@
-"""Scenes larger than memory: what their viewers look at is published."""
+"""Publishes those parts of scenes larger than memory that viewers look at."""

@@ -22,10 +22,10 @@ Array = NDArray[np.float64]
 
 NOTHING = -1  # the level of a chunk that is not held
 
-# What is held already counts for so many times its error, so that views that move a little don't
-# have the same chunks fetched and dropped in turn.
+# Factor on the errors of levels that are held, so that views that move a little don't have the same
+# chunks fetched and dropped in turn.
 LOYALTY = 1.5
-# What a view doesn't show counts for so much of its error: cameras turn.
+# Factor on the errors of chunks outside of a view. It isn't 0 because cameras turn.
 BEHIND = 1 / 16
 
 
@@ -55,7 +55,7 @@ class Levels:
 def magnification(chunks: Levels, views: Sequence[PosedCamera]) -> Array:
     """(n,) pixels that a metre takes at each chunk's nearest point, in the view where it is most.
 
-    Without a view all are alike, and too small to be worth more than their coarsest level.
+    Without a view all have one value, too small for more than their coarsest level.
     """
     most = np.full(len(chunks.low), 1e-6)
     for view in views:
@@ -69,7 +69,7 @@ def magnification(chunks: Levels, views: Sequence[PosedCamera]) -> Array:
 
 
 def in_sight(chunks: Levels, view: PosedCamera) -> NDArray[np.bool_]:
-    """(n,) whether a view, as wide as orders are for cameras that move, may show chunks."""
+    """(n,) whether a view may show chunks, widened by OVERSCAN as orders are: cameras move."""
     ends = np.stack([chunks.low, chunks.high])
     which = np.indices((2, 2, 2)).reshape(3, 8)
     corners = np.stack([ends[which[axis], :, axis] for axis in range(3)], axis=2)  # (8, n, 3)
@@ -86,9 +86,9 @@ def in_sight(chunks: Levels, view: PosedCamera) -> NDArray[np.bool_]:
 
 
 def errors(chunks: Levels, scale: Array) -> Array:
-    """(n, 1 + most levels) of each chunk: its error when it isn't held, then at each level [px].
+    """(n, 1 + most levels) errors of each chunk: when it isn't held, then at each level [px].
 
-    0 for levels that it lacks. scale: (n,) [px/m]. Splats lie on surfaces: the distance between
+    0 for lacking levels. scale: (n,) [px/m]. Splats lie on surfaces: the distance between
     them goes with the root of their number.
     """
     wide = chunks.sizes * scale
@@ -99,17 +99,17 @@ def errors(chunks: Levels, scale: Array) -> Array:
 def choose(chunks: Levels, scale: Array, held: ArrayLike, budget: int, target: float) -> list[int]:
     """The level of each chunk, or NOTHING.
 
-    scale: (n,) pixels that a metre takes. held: the levels that there are now. budget: the most
-    slots in all. target: errors that are small enough [px]; but all chunks have their coarsest
-    level while the budget allows it, however small they are.
+    scale: (n,) pixels that a metre takes. held: each chunk's level now. budget: the most
+    slots in all. target: errors that are small enough [px]; chunks with smaller errors still have
+    their coarsest level while the budget allows it.
     """
     table = chunks.table
     urgency = errors(chunks, scale)[:, :-1]  # of the step to each level
     step = np.arange(table.shape[1])
-    stays = step <= np.asarray(held)[:, None]  # as long as nothing else needs its place
+    stays = step <= np.asarray(held)[:, None]  # levels that are held
     urgency = np.where(stays, LOYALTY * urgency, urgency)
     urgency[(table == 0) | (~stays & (step > 0) & (urgency <= target))] = -1  # not wanted
-    # A step comes after the one before it, and so is worth no more.
+    # A step needs the step before it, and so is no more urgent.
     urgency = np.minimum.accumulate(urgency, axis=1)
     more = np.diff(slots_for(table), axis=1, prepend=0)
 

@@ -1,4 +1,4 @@
-"""A view whose cameras come one by one: where it is, and where it is about to be. Knows no ROS."""
+"""Tells where a view is, and where it is about to be, from its cameras. Knows no ROS."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from rosplat_core.posed_camera import CameraError, PosedCamera
 
 AHEAD = 2.0  # how far to look ahead [s]
-RECENT = 1.0  # cameras that come less often than this say nothing of how a view moves [s]
+RECENT = 1.0  # cameras farther apart say nothing of how a view moves [s]
 
 
 class FollowedView:
-    """Expects a view to go on as it went between its last two cameras, for as long again."""
+    """Expects a view to move on as between its last two cameras, for twice as long."""
 
     def __init__(self, camera: PosedCamera, now: float) -> None:
-        """now: of a clock [s]."""
+        """now: time of a steady clock [s]."""
         self._camera = camera
         self.heard = now
         self._speed = np.zeros(3)
@@ -32,11 +32,11 @@ class FollowedView:
         self._camera, self.heard = camera, now
 
     def cameras(self, now: float) -> list[PosedCamera]:
-        """Its camera; and while it moves, the one that it will have by and by."""
+        """The view's camera; while it moves, also the camera expected in AHEAD seconds."""
         if now > self._moves_until or not self._speed.any():
             return [self._camera]
         x, y, z = (self._camera.position + AHEAD * self._speed).tolist()
         try:
             return [self._camera, replace(self._camera, position=(x, y, z))]
-        except CameraError:  # so fast that it is nowhere
+        except CameraError:  # so fast that its position overflows
             return [self._camera]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rosplat_core.slot_pages import MAX_SLOTS, SLOTS_PER_PAGE
 
-SLOTS_PER_STRIP = 128  # what is left of a strip is lost until it is given back
+SLOTS_PER_STRIP = 128  # a strip's unused slots are lost until it is given back
 STRIPS_PER_PAGE = SLOTS_PER_PAGE // SLOTS_PER_STRIP
 
 Number = TypeVar("Number", int, NDArray[np.int64])
@@ -22,28 +22,28 @@ def slots_for(count: Number) -> Number:
 
 
 class SlotAllocator:
-    """Gives out whole pages, and strips of pages that are shared for what is less than a page.
+    """Gives out whole pages, and for less than a page strips of shared pages.
 
-    So pages hold neighbours, and few slots are lost to small sets of splats. The lowest that are
-    free come first: holes are used before the map grows.
+    So pages hold neighbours, and few slots are lost to small sets of splats. The lowest free pages
+    and strips come first: holes are used before the map grows.
     """
 
     def __init__(self, pages: int = MAX_SLOTS // SLOTS_PER_PAGE) -> None:
         self._pages = pages
         self._touched = 0  # pages below this have been given out once
-        self._free_pages: list[int] = []  # a heap, as is the next
+        self._free_pages: list[int] = []  # a heap, as are the strips
         self._free_strips: list[int] = []  # of shared pages
         self._slots = 0
 
     @property
     def slots(self) -> int:
-        """How many slots are given out, with what is left of their strips."""
+        """Number of slots that are given out, with the unused slots of their strips."""
         return self._slots
 
     def take(self, count: int) -> NDArray[np.uint32]:
-        """(count,) slots in strips of their own. Raises MemoryError; takes none then."""
+        """(count,) slots in strips of their own. Raises MemoryError, and then takes none."""
         pages, rest = divmod(slots_for(count) // SLOTS_PER_STRIP, STRIPS_PER_PAGE)
-        shared = rest > len(self._free_strips)  # one page more is, from now on
+        shared = rest > len(self._free_strips)  # whether one more page is shared from now on
         if pages + shared > self._pages - self._touched + len(self._free_pages):
             raise MemoryError(f"{count:,} slots: the map has no room for them")
         firsts = [STRIPS_PER_PAGE * self._page() for _ in range(pages)]
@@ -59,7 +59,7 @@ class SlotAllocator:
         return slots.astype(np.uint32).ravel()[:count]
 
     def give_back(self, slots: NDArray[np.uint32]) -> None:
-        """Frees the strips of slots, all of those that were taken together."""
+        """Frees the strips of slots; of each take(), all slots or none."""
         strips = np.unique(slots // SLOTS_PER_STRIP)
         self._slots -= SLOTS_PER_STRIP * len(strips)
         pages, counts = np.unique(strips // STRIPS_PER_PAGE, return_counts=True)

@@ -25,7 +25,7 @@ from rosplat_tools.program.running import run, spinning
 from rosplat_tools.streaming.followed_view import FollowedView
 from rosplat_tools.streaming.streamed_map import StreamedMap
 
-FORGET_AFTER = 10.0  # viewers send each view once a second; who doesn't is gone [s]
+FORGET_AFTER = 10.0  # views come once a second; one that doesn't is gone [s]
 MAX_VIEWS = 32
 TELL_EVERY = 2.0  # [s]
 
@@ -60,11 +60,11 @@ class StreamPublisher(Node):
                 f"{len(scene.chunks):,} chunks take {self._map.least:,} splats, "
                 f"{splat_bytes(scene.sh_degree)} bytes each, at their coarsest, so some are missing"
             )
-        topic = self.resolve_topic_name("gaussians")  # remapping it takes the views along
+        topic = self.resolve_topic_name("gaussians")  # remapping it remaps the views
         self.create_subscription(ViewCamera, f"{topic}/view", self._on_view, **overridable(VIEW))
 
     def stream(self) -> None:
-        """Follows the views until ROS ends, by a thread that hears none of them meanwhile."""
+        """Follows the views until ROS ends. Call it from a thread that runs no callbacks."""
         resting = False
         while self.context.ok():
             self._looked.clear()
@@ -82,7 +82,7 @@ class StreamPublisher(Node):
                 self._looked.wait(0.5)
 
     def _seen(self) -> list[PosedCamera]:
-        """The cameras of views that are still there; where none is, the last ones."""
+        """The cameras of views that are still there; if none is, of the last views."""
         views = dict(self._views)
         now = time.monotonic()
         there = {name: view for name, view in views.items() if view.heard > now - FORGET_AFTER}
@@ -107,12 +107,12 @@ class StreamPublisher(Node):
         self._looked.set()
 
     def close(self) -> None:
-        """Ends what is being read."""
+        """Ends the threads that read."""
         self._map.close()
 
 
 def main() -> None:
-    """Runs the node until it is told to end; exit code 1 where the scene of `path` is none."""
+    """Runs the node until it is told to end; exit code 1 if `path` is no streamed scene."""
     run("stream_publisher", _publish)
 
 

@@ -1,4 +1,4 @@
-"""A map that holds of a streamed scene what views of it need, within a budget. Knows no ROS."""
+"""Holds the parts of a streamed scene that views need, within a budget. Knows no ROS."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Sink(Protocol):
     """A living map: MapPublisher, say."""
 
     def expect(self, slots: int) -> None:
-        """Is told how many slots the map will have in use once all has come that is to come."""
+        """Announces how many slots are in use once all parts on their way have come."""
 
     def upsert(self, slots: Slots, splats: Splats) -> None:
         """Writes the i-th splat to the i-th slot."""
@@ -45,20 +45,20 @@ class _Held:
     part: FileRange
     slots: Slots
     splats: int
-    """In use, of slots."""
+    """Number of slots in use, the first ones."""
 
 
 class StreamedMap:
     """Moves towards the levels that `detail.choose` finds; threads read what is missing.
 
-    A chunk's new level is in the map before its old one leaves it: there is never a hole. Beyond
-    the budget the map has the old levels of what goes into it at once.
+    A chunk's new level is in the map before its old one leaves it: there is never a hole. So
+    the map may exceed the budget by the old levels of chunks that change at once.
     """
 
     def __init__(
         self, scene: Streamed, sink: Sink, *, budget: int, target: float, warn: Warn
     ) -> None:
-        """budget: the most slots, in whole pages; target: small enough errors [px]."""
+        """budget: the most slots, in whole strips; target: small enough errors [px]."""
         largest = max(slots_for(part.count) for chunk in scene.chunks for part in chunk.levels)
         self._budget = min(budget, MAX_SLOTS - largest - TOGETHER)
         self._target = target
@@ -71,7 +71,7 @@ class StreamedMap:
         self._held: list[_Held | None] = [None] * len(scene.chunks)
         self._slots = SlotAllocator()
         self._to_come: dict[int, FileRange] = {}
-        self._unfinished = False  # once all has come that is to come, there will be more
+        self._unfinished = False  # whether finer levels follow those of _to_come
         self._error = 0.0
         self._list()
 
@@ -82,7 +82,7 @@ class StreamedMap:
 
     @property
     def splats(self) -> int:
-        """In the map now."""
+        """Number of splats in the map now."""
         return sum(held.splats for held in self._held if held)
 
     def __str__(self) -> str:
@@ -98,7 +98,7 @@ class StreamedMap:
         return f"{text}; on their way: {splats:,} splats of {len(self._to_come):,} chunks"
 
     def step(self, views: Sequence[PosedCamera], patience: float = 0.25) -> bool:
-        """Has what views need read, and puts it in, for some time [s]; returns whether more comes.
+        """Reads what views need into the map, for `patience` [s]; returns whether more is to come.
 
         Raises SceneError for a file that can't be read, which is not read again.
         """
@@ -117,15 +117,15 @@ class StreamedMap:
     def _plan(
         self, views: Sequence[PosedCamera]
     ) -> tuple[dict[int, FileRange], dict[int, FileRange]]:
-        """The levels to come of chunks that get finer, the most urgent first, and of others.
+        """The next levels of chunks that get finer, the most urgent first, and of coarser ones.
 
-        Drops chunks that there is no more room for.
+        Drops chunks that the budget has no more room for.
         """
         held = self._level
         scale = magnification(self._levels, views)
         wanted = np.array(choose(self._levels, scale, held, self._budget, self._target))
         finest = np.array([len(parts) - 1 for parts in self._parts])
-        # Of each chunk as it is, where it could be finer.
+        # Of each chunk at its level now; 0 if there is no finer one.
         error = errors(self._levels, scale)[np.arange(len(held)), 1 + held]
         error[held >= finest] = 0
         self._error = float(error.max(initial=0.0))
@@ -142,7 +142,7 @@ class StreamedMap:
         leaving = (self._held[chunk] for chunk in (*finer, *coarser, *dropped))
         self._sink.expect(self.splats + change - sum(held.splats for held in leaving if held))
         self._put({}, dict.fromkeys(dropped))
-        # What isn't there begins with its coarsest level, soon read: until then there is a hole.
+        # A missing chunk is a hole, so it begins with its coarsest level, which is soon read.
         missing = [chunk for chunk in finer if held[chunk] == NOTHING and wanted[chunk] > 0]
         self._unfinished = bool(missing)
         growing |= {chunk: self._parts[chunk][0] for chunk in missing}
@@ -154,7 +154,7 @@ class StreamedMap:
         self._readers.shutdown(cancel_futures=True)
 
     def _fitting(self, growing: dict[int, FileRange]) -> dict[int, FileRange]:
-        """The first that the budget has room for now."""
+        """The first chunks that the budget has room for now."""
         room = self._budget - self._slots.slots
         fitting = {}
         for chunk, part in growing.items():
@@ -166,7 +166,7 @@ class StreamedMap:
         return fitting
 
     def _ask(self, parts: list[FileRange]) -> None:
-        """Has the first of parts read, and nothing else."""
+        """Has the first AHEAD parts read, and cancels others."""
         first = dict.fromkeys(parts[:AHEAD])
         for part in self._asked.keys() - first.keys():
             self._asked.pop(part).cancel()
@@ -175,7 +175,7 @@ class StreamedMap:
                 self._asked[part] = self._readers.submit(self._pieces.read, part)
 
     def _take(self, parts: dict[int, FileRange], patience: float) -> list[int]:
-        """Puts in levels of chunks that have been read, once there are any; returns the chunks."""
+        """Waits for levels of chunks to be read, puts them in, and returns the chunks."""
         asked = {chunk: part for chunk, part in parts.items() if part in self._asked}
         wait({self._asked[part] for part in asked.values()}, patience, FIRST_COMPLETED)
         ready: dict[int, Splats] = {}
@@ -220,7 +220,7 @@ class StreamedMap:
         return parts.index(held.part) if held and held.part in parts else NOTHING
 
     def _give_up(self, file: int) -> None:
-        """Does without the levels that a file has; what is held of it stays as long as it may."""
+        """Does without the levels of a file; held ones stay until replaced or dropped."""
         self._asked = {part: asked for part, asked in self._asked.items() if part.file != file}
         self._parts = [
             tuple(

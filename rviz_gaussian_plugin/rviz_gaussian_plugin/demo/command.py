@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     screen = bool(os.environ.get("DISPLAY"))
     rviz = bool(shutil.which("rviz2")) and screen and not options.host
-    # One demo doesn't see another, but what the user runs beside it, rviz2's TF say, it does.
+    # The viewer has a namespace for each demo; rviz2 also sees the user's other nodes and TF.
     namespace = "/" if rviz else f"/demo_{uuid.uuid4().hex[:8]}"
     remap = ["--ros-args", "-r", f"__ns:={namespace}"]
     try:

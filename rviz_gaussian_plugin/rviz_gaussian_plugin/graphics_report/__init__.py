@@ -1,4 +1,4 @@
-"""What users attach to an issue about drawing."""
+"""The report that users attach to an issue about drawing."""
 
 from __future__ import annotations
 

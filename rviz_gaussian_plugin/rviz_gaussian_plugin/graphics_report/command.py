@@ -76,7 +76,7 @@ def report(renderer: Renderer) -> list[str]:
 
 
 def _opengl() -> list[str]:
-    """What the driver says of the context that is current."""
+    """What the driver says of the current context."""
     library = ctypes.CDLL("libGL.so.1")
     library.glGetString.restype = library.glGetStringi.restype = ctypes.c_char_p
 

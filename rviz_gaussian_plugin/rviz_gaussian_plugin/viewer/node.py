@@ -41,7 +41,7 @@ ORDER_SOURCES = {name.lower(): source for name, source in OrderSource.__members_
 
 
 def described(splats: int, report: dict[str, Any]) -> str:
-    """A frame in a line. splats: of the map. report: of Renderer.draw."""
+    """A line on a frame. splats: of the map. report: of Renderer.draw."""
     sort_time, source = report["sort_time"], report["order_source"]
     took = f" in {sort_time * 1e3:.1f} ms" if sort_time else ""  # else not measured
     order = f"sorted by {source}{took}" if source else "not sorted yet"
@@ -99,7 +99,7 @@ class Viewer(Node):
                 f"got '{order_source}'"
             )
         try:
-            RenderSettings().detail = detail  # a renderer that is given up would hold its display
+            RenderSettings().detail = detail  # a Renderer that is given up would keep its display
         except ValueError as error:
             raise SceneError(f"parameter {error}") from error
         self.renderer = Renderer()
@@ -156,7 +156,7 @@ class Viewer(Node):
         self.last_batch = time.monotonic()
 
     def _on_order(self, message: SplatOrder) -> bool:
-        """Whether it is this viewer's, and there to be drawn."""
+        """Takes an order; returns whether it is this viewer's and can be drawn."""
         if not message.view_id.startswith(f"{self._instance}/"):
             return False
         order = (
@@ -220,7 +220,7 @@ class Viewer(Node):
     def _ask(self, camera: ViewCamera) -> None:
         wanted = self.renderer.wants_orders()
         if not wanted and not self._views_followed():
-            self._published = 0.0  # once one is, it is asked for at once
+            self._published = 0.0  # the next one that is wanted is asked for at once
             return
         camera.header.frame_id = self.frame_id
         camera.header.stamp = self.get_clock().now().to_msg()
@@ -239,7 +239,7 @@ class Viewer(Node):
     def draw_still(self, camera: ViewCamera, name: str, order_timeout: float) -> dict[str, Any]:
         """Draws with the sorter's order, or after order_timeout [s] with one sorted here.
 
-        Where no sorter's order is wanted, the renderer sorts at once. Returns what it reports.
+        If no sorter's order is wanted, the renderer sorts at once. Returns its report.
         """
         view_id = self.look(camera, name)
         deadline = time.monotonic() + order_timeout
@@ -261,7 +261,7 @@ class Viewer(Node):
                 self.look(camera, name)
             time.sleep(0.001)
         report: dict[str, Any] = self.renderer.draw(view_id, sort_now=not answered)
-        if answered and not report["order_fresh"]:  # the map went on since the order was there
+        if answered and not report["order_fresh"]:  # the map has changed since the order
             report = self.renderer.draw(view_id, sort_now=True)
         return report
 
@@ -273,7 +273,7 @@ class Viewer(Node):
         return report
 
     def serve_request(self, wait: float) -> None:
-        """Draws what others ask for next, if they do within `wait`. [s]"""
+        """Serves the next request, if one comes within `wait`. [s]"""
         try:
             job = self._requests.get(timeout=wait)
         except queue.Empty:

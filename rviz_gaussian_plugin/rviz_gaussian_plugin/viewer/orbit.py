@@ -1,4 +1,4 @@
-"""What the embedded viewer frames a map by, and the camera that goes around it."""
+"""The bounds by which the embedded viewer frames a map, and a camera that orbits it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera, look_at
 
-# What the renderer draws from: 32-bit floats hold the squares of coordinates, and a near plane of
-# 1e-9 to 1e9 m. A map may be larger, and what it is in the middle of farther away.
-NEAREST, FARTHEST = 1e-5, 1e17  # of the camera from its target; the latter of that from 0, too [m]
+# Limits of the cameras that the renderer can draw from: 32-bit floats hold the squares of
+# coordinates, and a near plane of 1e-9 to 1e9 m. A map may be larger, or its middle farther away.
+NEAREST, FARTHEST = 1e-5, 1e17  # camera to target; FARTHEST also limits the target [m]
 NEAR_PLANE = 1e9  # at most [m]
 FAR_PLANE = 1e10  # at least [m]
 
@@ -20,7 +20,7 @@ FAR_PLANE = 1e10  # at least [m]
 def bounds(positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Centre and radius of the middle of (n, 3) positions, which a few far ones don't change. [m]
 
-    What is farther than FARTHEST counts as that far.
+    Coordinates beyond FARTHEST count as FARTHEST.
     """
     positions = np.clip(positions, -FARTHEST, FARTHEST)
     positions = positions[~np.isnan(positions).any(axis=1)]
@@ -41,19 +41,19 @@ class OrbitCamera:
     pitch: float = 0.35
 
     def __post_init__(self) -> None:
-        """Keeps the camera where it can be drawn from, as whatever moves it does."""
+        """Clamps the camera to where it can be drawn from; all that moves it does so, too."""
         self.target = np.clip(self.target, -FARTHEST, FARTHEST)
         self.distance = float(np.clip(self.distance, NEAREST, FARTHEST))
 
     def camera(self, width: int, height: int) -> Camera:
-        """For a picture of width x height [px], 45 degrees high."""
+        """The camera for a picture of width x height [px], with a view 45 degrees high."""
         up = self.up / np.linalg.norm(self.up)
         side = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
         side /= np.linalg.norm(side)
         ahead = np.cross(side, up)
         around = math.cos(self.yaw) * ahead + math.sin(self.yaw) * side
         outward = math.cos(self.pitch) * around + math.sin(self.pitch) * up
-        # By the direction alone: far from 0, an eye so close to its target may be the same point.
+        # From the direction alone: far from 0, eye and target may round to the same point.
         transform = look_at(outward, np.zeros(3), up)
         transform[:3, 3] = -transform[:3, :3] @ (self.target + self.distance * outward)
         focal = 0.5 * height / math.tan(math.radians(22.5))
@@ -64,17 +64,17 @@ class OrbitCamera:
         )  # fmt: skip
 
     def turn(self, right: float, down: float) -> None:
-        """By angles [rad]."""
+        """Turns around the target by angles [rad]."""
         self.yaw -= right
         self.pitch = float(np.clip(self.pitch + down, -1.55, 1.55))
 
     def zoom(self, factor: float) -> None:
-        """To so many times the distance."""
+        """Multiplies the distance to the target."""
         self.distance *= factor
         self.__post_init__()
 
     def pan(self, right: float, down: float) -> None:
-        """By parts of the picture's height."""
+        """Shifts the target by parts of the picture's height."""
         step = 2 * self.distance * math.tan(math.radians(22.5))
         rotation = self.camera(64, 64).camera_to_world[:3, :3]
         self.target = self.target - step * (right * rotation[:, 0] + down * rotation[:, 1])

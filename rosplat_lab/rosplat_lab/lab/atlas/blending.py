@@ -37,7 +37,7 @@ def layers(stage: Stage) -> tuple[Sequence[float], Curves]:
         positions = np.column_stack(
             [random.normal(scale=0.05, size=(count, 2)), np.linspace(2, 3, count)]
         )
-        # Below 1/255 nothing is drawn: fewer, stronger layers where the fog would be thinner.
+        # Alpha below 1/255 isn't drawn, so no layer is fainter than 0.01.
         opacity = max(min(0.5, 3 / count), 0.01)
         fog = balls(positions, 0.5, opacity, random.uniform(0.2, 1, (count, 3)))
         camera = ahead(**SMALL)
@@ -78,8 +78,8 @@ def overshoot(stage: Stage) -> tuple[Sequence[float], Curves]:
 
 @CASES.enter("Translucent objects among splats", "half opaque surfaces, one behind the other")
 def translucent(stage: Stage) -> tuple[Sequence[float], Curves]:
-    """White veils across the view. The nearest divides the splats: rviz lays all other veils over
-    what is behind it."""
+    """White veils across the view. The nearest divides the splats: rviz draws all veils over the
+    splats behind it."""
     counts, curves = stage.some([1, 2, 3, 4]), Errors()
     splats = replace(cloud(600), positions=cloud(600).positions + floats(0, 0, 2))
     camera = ahead()

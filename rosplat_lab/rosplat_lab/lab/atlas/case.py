@@ -9,7 +9,7 @@ from rosplat_lab.lab.atlas.stage import Stage
 
 Curves = dict[str, list[float]]
 Measure = Callable[[Stage], tuple[Sequence[float], Curves]]
-"""On a stage: growing difficulties, and for each way of drawing their errors."""
+"""Returns growing difficulties, and for each way of drawing its errors on a stage."""
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ def levels(stage: Stage) -> tuple[Sequence[float], Curves]:
 
 @CASES.enter("A quantised map with a stray splat", "its distance over the scene's")
 def stray(stage: Stage) -> tuple[Sequence[float], Curves]:
-    """The steps of positions divide a batch's box. Where they were too coarse, it is sent whole."""
+    """Steps of positions divide a batch's box. If too coarse, the batch is sent unquantised."""
     ratios, curves = stage.some([1, 1e2, 1e4, 1e5, 1e6]), Errors()
     camera = outside()
     for ratio in ratios:

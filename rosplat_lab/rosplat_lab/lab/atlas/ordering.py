@@ -75,7 +75,7 @@ def _coarse(stage: Stage, splats: Splats, camera: Camera, expected: Image) -> fl
 
 @CASES.enter("An order from before a turn", "degrees since it was sorted")
 def old_order(stage: Stage) -> tuple[Sequence[float], Curves]:
-    """Culled for its view, and as sorters do it for a wider one."""
+    """Old orders that were culled for their own view, and for a wider one as by sorters."""
     angles, curves = stage.some([0, 0.3, 1, 3, 10, 30]), Errors()
     splats = generate(5_000 if stage.quick else 40_000)
     camera = scenes.inside(splats, WIDTH, HEIGHT, 1)[0]
@@ -101,7 +101,7 @@ def _widened(camera: Camera, factor: float) -> Camera:
 
 @CASES.enter("Popping under slow rotation", "degrees a frame", "largest change of a pixel")
 def popping(stage: Stage) -> tuple[Sequence[float], Curves]:
-    """What a frame changes by its order alone: drawn in its own, and in the last frame's."""
+    """How much the order alone changes a frame: drawn in its own, and in the last frame's."""
     steps, curves = stage.some([0.1, 0.3, 1, 3]), Errors()
     splats = cloud(800, size=0.3)
     sorter = orders.Sorter(splats)

@@ -101,7 +101,7 @@ def zoomed_out(stage: Stage) -> tuple[Sequence[float], Curves]:
         )  # fmt: skip
         sharp = truth(replace(splats, antialiased=True), fine)
         expected = sharp.reshape(HEIGHT, finer, WIDTH, finer, 3).mean(axis=(1, 3))
-        # Only what the scene covers counts, or far away the background would.
+        # Only the part that the scene covers counts: from afar, most is background.
         rows, columns = (np.flatnonzero(expected.max(axis=(axis, 2)) > 0) for axis in (1, 0))
         part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         for name, mode in (("As Trained, +0.3 px²", "OFF"), ("Antialiasing: On", "ON")):

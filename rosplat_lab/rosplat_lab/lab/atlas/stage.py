@@ -26,8 +26,8 @@ PROCESSOR, SHADERS = "processor", "card"  # the rasteriser's vectors; the displa
 
 
 class Stage:
-    """What draws, one in a process: the processor's rasteriser, and a card's shaders, which Mesa
-    runs where there is no card. Raises RuntimeError where there is no OpenGL."""
+    """The renderers, one stage in a process: the processor's rasteriser, and a card's shaders,
+    which Mesa runs where there is no card. Raises RuntimeError where there is no OpenGL."""
 
     def __init__(self, quick: bool) -> None:
         self.quick = quick
@@ -35,7 +35,7 @@ class Stage:
         self.graphics = self.display.device
 
     def some(self, values: Sequence[float], count: int = 3) -> list[float]:
-        """All values, or when it should be quick a few, ends included."""
+        """All values, or in quick runs a few, ends included."""
         if not self.quick or len(values) <= count:
             return list(values)
         return [values[round(i * (len(values) - 1) / (count - 1))] for i in range(count)]
@@ -65,16 +65,16 @@ class Stage:
     def both(
         self, splats: Splats, camera: Camera, expected: Image, **settings: Any
     ) -> Iterator[tuple[str, float]]:
-        """What each of the two is off, by its name. [dB]"""
+        """The PSNR of each of the two, by its name. [dB]"""
         for by in (PROCESSOR, SHADERS):
             yield by, decibels(self.shown(splats, camera, by, **settings), expected)
 
 
 class Errors(dict[str, list[float]]):
-    """Curves, to be added to."""
+    """Errors by the names of curves."""
 
     def add(self, errors: Iterator[tuple[str, float]], suffix: str = "") -> None:
-        """An error for each name."""
+        """Appends an error to each named curve."""
         for name, error in errors:
             self.setdefault(name + suffix, []).append(error)
 
