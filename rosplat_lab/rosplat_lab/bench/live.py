@@ -108,8 +108,11 @@ def watch(
                 processes.check()
                 now = time.time()
                 for name, process in programs.items():
-                    seen.ram.append((now, name, machine.resident_bytes(process.pid)))
-                    seen.most_ram[name] = machine.peak_bytes(process.pid)
+                    resident = machine.resident_bytes(process.pid)
+                    seen.ram.append((now, name, resident))
+                    # Linux knows both only nearly: the peak may be less than what is resident.
+                    known = max(resident, seen.most_ram.get(name, 0))
+                    seen.most_ram[name] = max(machine.peak_bytes(process.pid), known)
                 text = rest + lines.read()
                 *complete, rest = text.split("\n")
                 seen.frames += [json.loads(line) for line in complete]

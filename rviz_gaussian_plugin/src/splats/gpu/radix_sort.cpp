@@ -42,6 +42,7 @@ bool RadixSort::check() {
 }
 
 bool RadixSort::sortsInSomeWarps() {
+  lost_ballots_ = false;
   for (const int lanes : {kLanes, kFewLanes}) {
     if (!shaders_.subgroups()) break;
     scatter_ = &shaders_.computeInWarps(kScatter, lanes, true);
