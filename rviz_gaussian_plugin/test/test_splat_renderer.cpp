@@ -999,7 +999,7 @@ TEST_F(SplatRendererTest, KeepsWhatIsUploadedWhateverItsSize) {
 }
 
 TEST_F(SplatRendererTest, UploadsALargeBatchInPartsAndIsNotCompleteBefore) {
-  constexpr std::uint32_t kMany = 800'000;  // 73 MiB
+  constexpr std::uint32_t kMany = 400'000;  // 37 MiB
   SplatScene scene(shaders());
   RenderSettings settings;
   settings.rasterizer = Rasterizer::kTiles;
@@ -1022,7 +1022,7 @@ TEST_F(SplatRendererTest, UploadsALargeBatchInPartsAndIsNotCompleteBefore) {
 
 // What replaces a map shows when it is whole.
 TEST_F(SplatRendererTest, ShowsAMapUntilAllOfWhatReplacesItIsThere) {
-  constexpr std::uint32_t kMany = 400'000;  // 37 MiB
+  constexpr std::uint32_t kMany = 200'000;  // 18 MiB
   SplatScene scene(shaders());
   RenderSettings settings;
   settings.rasterizer = Rasterizer::kTiles;
