@@ -100,6 +100,9 @@ class Pull:
     def miss(self, of: Label) -> None:
         self._pull.miss((*of, None))
 
+    def lose(self, now: float) -> None:
+        self._pull.lose(now)
+
     def answer(self, number: int, batches: Any, block: int, now: float, served: bool) -> Step:
         labelled = [(*of, batch) for of, batch in batches]
         return _step(self._pull.answer(number, labelled, block, now, served))
@@ -515,6 +518,19 @@ def test_what_there_was_no_room_for_is_pulled_once_there_is() -> None:
     pull.miss(Label("another", 1, True))  # of a map that begins
     request = pull.tick(3.0, True).request
     assert (request.map_id, request.after_revision) == ("another", 0)
+
+
+def test_after_a_batch_without_memory_all_is_pulled_after_a_while() -> None:
+    pull = Pull()
+    pull.hear(Label("map", 1, True), "one", 0.0, True)
+    pull.hear(Label("map", 2, False), "two", 0.1, True)
+    pull.lose(0.1)
+    assert not pull.tick(0.2, True).request
+    request = pull.tick(10.0, True).request
+    assert (request.map_id, request.after_revision, request.first_block) == ("map", 0, 0)
+    step = pull.answer(request.number, [part(2, replaces=True)], 0, 10.1, True)
+    assert step == Step([("pulled 2", Arrival.LAST)])
+    assert not pull.pulling
 
 
 def test_a_last_batch_that_got_lost_is_pulled() -> None:

@@ -6,6 +6,7 @@ keeps the voxels while the map changes; voxel_map.hpp has the definition.
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from rosplat_core._core import OccupancyMap
-from rosplat_core.program.files import replacing, write_text
+from rosplat_core.program.files import replacing
 from rosplat_core.splats import SceneError
 
 __all__ = [
@@ -126,12 +127,14 @@ def save_grid(path: Path, grid: Grid) -> None:
     grey = np.full(grid.cells.shape, _GREY[UNKNOWN], np.uint8)
     for value, shade in _GREY.items():
         grey[grid.cells == value] = shade
-    with replacing(picture) as partial:  # the picture's first row is the farthest along y
-        partial.write_bytes(b"P5\n%d %d\n255\n" % (width, height) + grey[::-1].tobytes())
     x, y = grid.origin
-    write_text(
-        path,
-        f"image: {picture.name}\nmode: trinary\nresolution: {grid.resolution:.9g}\n"
+    text = (
+        f"image: {json.dumps(picture.name, ensure_ascii=False)}\n"
+        f"mode: trinary\nresolution: {grid.resolution:.9g}\n"
         f"origin: [{x:.9g}, {y:.9g}, 0]\nnegate: 0\noccupied_thresh: {_OCCUPIED_ABOVE}\n"
-        f"free_thresh: {_FREE_BELOW}\n",
+        f"free_thresh: {_FREE_BELOW}\n"
     )
+    # Neither is replaced before both are written. The first row is the farthest along y.
+    with replacing(picture) as pixels, replacing(path) as described:
+        pixels.write_bytes(b"P5\n%d %d\n255\n" % (width, height) + grey[::-1].tobytes())
+        described.write_text(text, encoding="utf-8")

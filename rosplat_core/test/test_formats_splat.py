@@ -25,6 +25,15 @@ def test_a_record_by_hand(tmp_path: Path) -> None:
     assert axes(tmp_path / "a.splat").up is None
 
 
+def test_a_negative_scale_is_left_out(tmp_path: Path) -> None:
+    good = struct.pack("<6f8B", 1, -2, 3, 0.5, 0.25, 2, 255, 0, 51, 204, 128, 128, 0, 128)
+    bad = struct.pack("<6f8B", 1, -2, 3, -0.5, 0.25, 2, 255, 0, 51, 204, 128, 128, 0, 128)
+    (tmp_path / "a.splat").write_bytes(bad + good)
+    told: list[str] = []
+    assert len(load(tmp_path / "a.splat", warn=told.append)) == 1
+    assert "a negative scale" in told[0]
+
+
 def test_round_trip(random_splats: Callable[..., Splats], tmp_path: Path) -> None:
     splats = replace(random_splats(20_000, 1), origin=np.array([20.0, 0, 0]))
     splats.sh[:, 0] = np.clip(splats.sh[:, 0], -1.7, 1.7)

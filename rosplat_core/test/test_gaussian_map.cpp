@@ -167,6 +167,25 @@ TEST_F(GaussianMapTest, IsCompleteOnceTheLastOfWhatIsPulledIsThere) {
   EXPECT_EQ(map.state().edits, before.edits + 2);  // of one revision, but another map
 }
 
+TEST_F(GaussianMapTest, IsNotCompleteWhereAPulledBatchFailed) {
+  const auto pulled = [&](std::uint32_t slot, Arrival arrival, const GaussianMap::Keep& keep) {
+    Batch batch(7, GaussianBatch::UPSERT, slot, 1);
+    batch.arrival = arrival;
+    BatchReport fresh;
+    map.apply(batch.look(), fresh, keep);
+  };
+  apply(Batch(7, GaussianBatch::UPSERT, 0, 1));
+  const auto fails = [](const auto&, const MapState&) { throw std::bad_alloc(); };
+  EXPECT_THROW(pulled(1, Arrival::kPulled, fails), std::bad_alloc);
+  pulled(2, Arrival::kLast, nullptr);
+  EXPECT_EQ(map.state().missed, 1u);
+  EXPECT_FALSE(map.state().complete());
+  for (const std::uint32_t slot : {1, 2}) {
+    pulled(slot, slot == 1 ? Arrival::kPulled : Arrival::kLast, nullptr);
+  }
+  EXPECT_TRUE(map.state().complete());
+}
+
 TEST_F(GaussianMapTest, IsPlayedOnceMore) {
   apply(Batch(1, GaussianBatch::REPLACE, 0, 5));
   apply(Batch(2, GaussianBatch::UPSERT, 5, 5));

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from numpy.typing import NDArray
 
-from rosplat_core.maps import DELETE, MOVE, REPLACE, UPSERT, BatchError
+from rosplat_core.maps import DELETE, MOVE, REPLACE, UPSERT, Arrival, BatchError
 from rosplat_core.occupancy import (
     FREE,
     OCCUPIED,
@@ -52,6 +53,7 @@ class Author:
     def send(
         self, operation: int, slots: NDArray[np.uint32] = NOBODY, splats: Splats | None = None,
         group: int = 0, poses: dict[int, list[float]] | None = None,
+        arrival: Arrival = Arrival.HEARD,
     ) -> None:  # fmt: skip
         self.revision += 1
         some = cloud(0, 0) if splats is None else splats
@@ -61,6 +63,7 @@ class Author:
             some.positions.ravel(), some.orientations.ravel(), some.scales.ravel(),
             some.opacities, some.sh.ravel(), MAP, self.revision, group=group,
             groups=np.array(list(poses), np.uint32), poses=np.array(list(poses.values())),
+            arrival=arrival,
         )  # fmt: skip
 
 
@@ -106,6 +109,21 @@ def test_a_map_after_many_edits_is_that_which_is_built_at_once() -> None:
     assert fresh.target.voxels > 1000
     assert fresh.target.beyond > 0
     assert same(edited.target, fresh.target)
+
+
+def test_a_block_of_another_group_and_a_slot_named_twice_leave_no_voxels() -> None:
+    first, again = np.arange(3, dtype=np.uint32), np.array([5, 5], np.uint32)
+    some = cloud(3, 1)
+    regrouped, twice = (Author(OccupancyMap(RESOLUTION, 64)) for _ in range(2))
+    regrouped.send(UPSERT, first, some)
+    regrouped.send(UPSERT, first[:1], some[:1], group=1, arrival=Arrival.PULLED)
+    twice.send(UPSERT, again, some[:2])
+    for author, slots, splats in (regrouped, first[:1], some[:1]), (twice, again[:1], some[1:2]):
+        fresh = Author(OccupancyMap(RESOLUTION, 64))
+        fresh.send(UPSERT, slots, splats)
+        assert same(author.target, fresh.target)
+        author.send(DELETE, slots)
+        assert author.target.voxels == 0
 
 
 def test_of_a_map_that_is_emptied_nothing_is_left() -> None:
@@ -270,7 +288,7 @@ def test_a_grid_is_written_as_map_server_reads_it(tmp_path: Path) -> None:
     save_grid(tmp_path / "flat.yaml", Grid(cells, (-1.5, 2.25), 0.05))
     text = (tmp_path / "flat.yaml").read_text()
     values = dict(line.split(": ") for line in text.splitlines())
-    assert values["image"] == "flat.pgm"
+    assert values["image"] == '"flat.pgm"'
     assert (values["resolution"], values["origin"]) == ("0.05", "[-1.5, 2.25, 0]")
     header, pixels = re.fullmatch(
         rb"P5\n(3 2)\n255\n(.{6})", (tmp_path / "flat.pgm").read_bytes(), re.DOTALL
@@ -284,6 +302,13 @@ def test_a_grid_is_written_as_map_server_reads_it(tmp_path: Path) -> None:
     assert np.array_equal(read, cells)
     with pytest.raises(SceneError, match=re.escape("flat.pgm: expected a name that ends in .yaml")):
         save_grid(tmp_path / "flat.pgm", Grid(cells, (0.0, 0.0), 0.05))
+
+
+def test_an_odd_name_of_a_grid_is_read_back(tmp_path: Path) -> None:
+    for name in ("floor #2", "a: b", "{x}"):
+        save_grid(tmp_path / f"{name}.yaml", Grid(np.zeros((1, 1), np.int8), (0.0, 0.0), 0.05))
+        values = yaml.safe_load((tmp_path / f"{name}.yaml").read_text())
+        assert (tmp_path / values["image"]).is_file()
 
 
 def test_a_cube_of_too_many_voxels_is_refused() -> None:

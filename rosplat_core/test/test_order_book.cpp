@@ -229,6 +229,40 @@ TEST_F(OrderBookTest, SortNowMatchesTheDepthsExactly) {
   EXPECT_EQ(book.sortNow("view").order->slots, expected);
 }
 
+// While a sort for the same camera is in progress.
+TEST_F(OrderBookTest, SortNowKnowsTheLastEdit) {
+  const std::vector<float> depths(200'000, 2.0f);
+  upsert(0, depths, 0.0);
+  book.setCamera("view", 1, camera, 0.0);
+  for (int i = 0; i < 20; ++i) {
+    book.choose("view", 0.0);
+    std::this_thread::sleep_for(std::chrono::milliseconds(i % 5));
+    upsert(0, {1}, 0.0, 0, {std::uint32_t(i)});
+    EXPECT_EQ(book.sortNow("view").order->revision, map.state().revision);
+  }
+}
+
+TEST(BuiltInSorter, IsFedAnewAfterAFeedThatFailed) {
+  OrderPool pool;
+  GaussianMap map;
+  int feeds = 0;
+  BuiltInSorter* fed = nullptr;
+  BuiltInSorter sorter(pool, [&] {
+    OwnedBatch batch(map.state().revision + 1, GaussianBatch::REPLACE, 0);
+    for (int i = 0; i < 3; ++i) batch.add({0, 0, 2 + float(i)}, {0.1f, 0.1f, 0.1f}, 1);
+    BatchReport report;
+    const auto edit = map.apply(batch.look(), report);
+    if (++feeds == 1) throw std::bad_alloc();
+    fed->apply(EditQueue::node(edit, map.state()));
+  });
+  fed = &sorter;
+  SplatCamera camera;
+  camera.fx = camera.fy = camera.cx = camera.cy = 50;
+  camera.width = camera.height = 100;
+  EXPECT_THROW(sorter.sortNow("view", 1, camera), std::bad_alloc);
+  EXPECT_EQ(sorter.sortNow("view", 1, camera)->slots.size(), 3u);
+}
+
 TEST_F(OrderBookTest, SlotsFarApartCostTheirPagesUntilAReplace) {
   book.setCamera("view", 1, camera, 0.0);
   Slots slots;  // as keyframe << 16 | i

@@ -242,6 +242,15 @@ TEST(PublishedMap, AnEditWithoutMemoryIsPulledOrNeverWas) {
   EXPECT_GT(failures, 100u);
 }
 
+TEST(PublishedMap, ExpectsNoSplatThatIsLeftOut) {
+  std::vector<Batch> sent;
+  PublishedMap map(20'000, "none", wireTo(sent));
+  Splats splats = splatsOf(3);
+  splats.positions[0] = std::nanf("");
+  map.replace(splats);
+  EXPECT_EQ(sent.at(0).expected_slots, 2u);
+}
+
 TEST(PublishedMap, BatchesAndAnswersKeepToTheirSizes) {
   constexpr std::size_t kChunk = 100'000;
   constexpr std::uint32_t kBlocks = 12'000;

@@ -76,6 +76,13 @@ class MapSubscription:
         """Whether a part of the map is missing and being pulled."""
         return self._pull.pulling
 
+    def lose(self) -> None:
+        """Tells that there was no memory for a batch, and that those after it weren't applied: all
+        of the map is pulled again after a while.
+        """
+        with self._lock:
+            self._pull.lose(time.monotonic())
+
     def _subscribe(self) -> Subscription:
         return self._node.create_subscription(
             GaussianArray,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from geometry_msgs.msg import Point, Pose, TransformStamped
 from numpy.typing import NDArray
+from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.time import Time
@@ -35,7 +36,15 @@ class Frames:
         if tf2_ros is None:
             raise SceneError("tf2_ros is not installed")
         self._buffer = tf2_ros.Buffer(Duration(seconds=keeps))
-        self._listener = tf2_ros.TransformListener(self._buffer, node) if node else None
+        if node:
+            self._listener = tf2_ros.TransformListener(self._buffer, node)
+            # A buffer without a node doesn't see it, and refuses what is older than it keeps.
+            back = JumpThreshold(
+                min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
+            )
+            self._jumps = node.get_clock().create_jump_callback(
+                back, post_callback=lambda _: self._buffer.clear()
+            )
 
     def take(self, transform: TransformStamped, static: bool) -> None:
         """Adds a transform; a static one holds at all times."""

@@ -174,10 +174,10 @@ class MapPublisher:
     ) -> None:
         """Makes splats the map, in slots 0 to n - 1 and group 0, and forgets the poses of groups.
 
-        expected_slots: how many slots the finished map will need, by default n. stamp: time of the
-        map, by default now. shared: the map uses the splats' own arrays instead of a copy, and
-        makes them read-only. Raises ValueError if splats or expected_slots exceed MAX_SLOTS. If
-        sending fails, the previous map stays and is sent again.
+        expected_slots: how many slots the finished map will need, by default n without the splats
+        that are left out. stamp: time of the map, by default now. shared: the map uses the splats'
+        own arrays instead of a copy, and makes them read-only. Raises ValueError if splats or
+        expected_slots exceed MAX_SLOTS. If sending fails, the previous map stays and is sent again.
         """
         if isinstance(splats, PackedSplats):
             shared = True  # a copy would unpack them into floats

@@ -73,6 +73,9 @@ class MapSubscriber:
                 self._refused += 1
                 reason = shown(error, 300) or "out of memory"
                 self._warn(f"batch {batch.revision} is refused, {self._refused} so far: {reason}")
+                if isinstance(error, MemoryError):
+                    self._waiting.clear()
+                    self._subscription.lose()
                 continue
             self.header = batch.header
             self.edits += 1

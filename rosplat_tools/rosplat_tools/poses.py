@@ -23,6 +23,7 @@ def to_pose(pose: Pose | ArrayLike, name: str = "pose") -> Pose:
         position, orientation = (np.array(values) for values in pose_values(pose))
         if not np.isfinite([*position, *orientation]).all() or not orientation.any():
             raise ValueError(f"{name}: not finite, or a quaternion of length zero")
+        orientation /= np.abs(orientation).max()  # or squares overflow, or vanish
         orientation /= np.linalg.norm(orientation)
     else:
         matrix = np.asarray(pose, np.float64)

@@ -38,6 +38,7 @@ from rosplat_sorter.qos import MAP_VOLATILE, PULLED_MAP
 from rosplat_testing import PATIENCE, Listener
 from rosplat_testing.messages import chunks
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
+from rosplat_tools.poses import to_pose
 from rosplat_tools.program.running import Cancelled
 
 Maker = Callable[..., Splats]
@@ -168,6 +169,13 @@ def test_a_map_begins_with_a_replace(
     listener.wait(lambda: listener.batches and listener.batches[-1].revision == publisher.revision)
     assert [batch.operation for batch in listener.batches].index(GaussianArray.REPLACE) == 0
     assert [batch.revision for batch in listener.batches] == list(range(1, publisher.revision + 1))
+
+
+@pytest.mark.parametrize("length", [1e-200, 1e200])
+def test_a_quaternion_of_any_length_is_made_a_unit(length: float) -> None:
+    orientation = Quaternion(x=0.0, y=0.0, z=length, w=length)
+    made = to_pose(Pose(orientation=orientation)).orientation
+    assert (made.z, made.w) == pytest.approx((np.sqrt(0.5), np.sqrt(0.5)))
 
 
 @pytest.mark.parametrize(

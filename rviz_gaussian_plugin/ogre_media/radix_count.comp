@@ -18,6 +18,7 @@ shared uint histogram[kTotals];
 void main() {
   uint local = gl_LocalInvocationIndex, block = workGroup(), count = keys_tally.count;
   if (block == 0u) {
+    if (local == 0u) begun = 0u;
     for (uint k = local; k < kTotals; k += kLanes) next_totals[k] = 0u;
   }
   if (block * kBlock >= count) return;

@@ -1237,38 +1237,6 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
 }
 
 // As where a Qt slot removes a display beside a widget that draws with OpenGL.
-TEST_F(SplatRendererTest, IsDestroyedInAnotherContextWithoutHarmToEither) {
-  const EGLDisplay display = eglGetCurrentDisplay();
-  const EGLContext own = eglGetCurrentContext();
-  const auto buffers = [] {
-    GLuint count = 0;
-    for (GLuint id = 1; id < 4096; ++id) count += glIsBuffer(id);
-    return count;
-  };
-  gl::deleteAbandoned();
-  const GLuint before = buffers();
-  auto scene = std::make_unique<SplatScene>(shaders());
-  fill(*scene);
-  picture(*scene, Rasterizer::kTiles, OrderSource::kGpu);
-  const GLuint drawn = buffers();
-  EXPECT_GT(drawn, before);
-
-  const EGLContext other = makeContext();
-  ASSERT_TRUE(other);
-  std::vector<GLuint> theirs(512);
-  glGenBuffers(GLsizei(theirs.size()), theirs.data());
-  for (const GLuint buffer : theirs) glBindBuffer(GL_ARRAY_BUFFER, buffer);
-  scene.reset();
-  gl::deleteAbandoned();
-  for (const GLuint buffer : theirs) EXPECT_TRUE(glIsBuffer(buffer)) << buffer;
-
-  eglMakeCurrent(display, EGL_NO_SURFACE, EGL_NO_SURFACE, own);
-  eglDestroyContext(display, other);
-  EXPECT_EQ(buffers(), drawn);
-  gl::deleteAbandoned();
-  EXPECT_EQ(buffers(), before);
-}
-
 // Levels of detail on the card, beside those of the processor.
 RenderSettings detailed(const char* detail, Rasterizer rasterizer) {
   RenderSettings settings;
@@ -1304,6 +1272,37 @@ void fillWithWall(SplatScene& scene, std::uint32_t count, std::uint32_t seed) {
   addWall(splats, count, seed);
   scene.apply(splats.batch(1, {}));
   cutPicture(scene, detailed("1px", Rasterizer::kTiles), "waited");
+}
+
+TEST_F(SplatRendererTest, IsDestroyedInAnotherContextWithoutHarmToEither) {
+  const EGLDisplay display = eglGetCurrentDisplay();
+  const EGLContext own = eglGetCurrentContext();
+  const auto buffers = [] {
+    GLuint count = 0;
+    for (GLuint id = 1; id < 4096; ++id) count += glIsBuffer(id);
+    return count;
+  };
+  gl::deleteAbandoned();
+  const GLuint before = buffers();
+  auto scene = std::make_unique<SplatScene>(shaders());
+  fillWithWall(*scene, 30000, 0);  // with levels
+  const GLuint drawn = buffers();
+  EXPECT_GT(drawn, before);
+
+  const EGLContext other = makeContext();
+  ASSERT_TRUE(other);
+  std::vector<GLuint> theirs(512);
+  glGenBuffers(GLsizei(theirs.size()), theirs.data());
+  for (const GLuint buffer : theirs) glBindBuffer(GL_ARRAY_BUFFER, buffer);
+  scene.reset();
+  gl::deleteAbandoned();
+  for (const GLuint buffer : theirs) EXPECT_TRUE(glIsBuffer(buffer)) << buffer;
+
+  eglMakeCurrent(display, EGL_NO_SURFACE, EGL_NO_SURFACE, own);
+  eglDestroyContext(display, other);
+  EXPECT_EQ(buffers(), drawn);
+  gl::deleteAbandoned();
+  EXPECT_EQ(buffers(), before);
 }
 
 TEST_F(SplatRendererTest, DrawsTheCutOfTheProcessor) {

@@ -133,15 +133,15 @@ class Into(ABC, Generic[Made]):
     ) -> Made:
         """The splats that were written. channels: (n,) each.
 
-        Drops splats that hold a number that is not finite or a quaternion of length zero, and tells
-        warn how many.
+        Drops splats that hold a number that is not finite, a negative scale or a quaternion of
+        length zero, and tells warn how many.
         """
         usable = self._usable
         dropped = len(usable) - np.count_nonzero(usable)
         if dropped:
             warn(
                 f"{path}: dropped {dropped:,} of {len(usable):,} splats: "
-                "a number that is not finite, or a quaternion of length zero"
+                "a number that is not finite, a negative scale, or a quaternion of length zero"
             )
         kept = usable if dropped else slice(None)
         return self._made(kept, antialiased, {name: each[kept] for name, each in channels.items()})
@@ -244,5 +244,5 @@ def _usable(columns: Columns) -> NDArray[np.bool_]:
     # A sum is finite where all of its terms are.
     sums = positions.astype(np.float32).sum(axis=1) + lengths + scales.sum(axis=1) + opacities
     usable: NDArray[np.bool_] = np.isfinite(sums + sh.sum(axis=(1, 2), dtype=np.float64))
-    usable &= lengths > 0
+    usable &= (lengths > 0) & (scales.min(axis=1) >= 0)
     return usable

@@ -244,6 +244,8 @@ void layOutChannels(const GaussianBatch& batch, const std::vector<bool>& kept,
 std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batch,
                                                        BatchReport& report, const Keep& keep) {
   const std::lock_guard one_by_one(locks_.applying);
+  // A pulled batch that fails leaves no gap in the revisions.
+  if (batch.arrival != Arrival::kHeard) ++lost_;
   check(batch);
   std::vector<GroupMove> moves;
   if (batch.operation == GaussianBatch::MOVE) moves = movesOf(batch);
@@ -264,7 +266,7 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   // beginning, lacks all batches before.
   if (back) next.revision = next.missed = 0;
   if (heard && !replace) report.missed = batch.revision - next.revision - 1;
-  if (batch.arrival == Arrival::kLast) next.missed = 0;
+  if (batch.arrival == Arrival::kLast) next.missed = edit->clear ? 0 : lost_ - 1;
   if (!heard) next.pulled = batch.arrival == Arrival::kPulled;
   next.id = batch.map_id;
   next.round = state_.round + (new_map || back ? 1 : 0);
@@ -383,6 +385,7 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   state_ = std::move(next);
   sample_ = std::move(sample);
   if (regrouped) groups_ = std::move(*regrouped);
+  lost_ = batch.arrival == Arrival::kPulled && !edit->clear ? lost_ - 1 : 0;
   return edit;
 }
 

@@ -253,7 +253,7 @@ void PublishedMap::replace(const SplatsView& splats, const std::shared_ptr<const
     const NamedSlots slots(0u, n);
     write(*map, slots, splats, prepared(*map, slots, splats, 0), 0, 0);
   }
-  map->expected_slots = expected_slots.value_or(static_cast<std::uint32_t>(n));
+  map->expected_slots = expected_slots.value_or(static_cast<std::uint32_t>(map->used));
   Lock turn(turns_), lock(mutex_);
   warnOf(n - map->used);
   std::swap(map_, map);

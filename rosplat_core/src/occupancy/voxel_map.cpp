@@ -4,6 +4,7 @@
 #include <cmath>
 #include <new>
 #include <stdexcept>
+#include <utility>
 
 #include "rosplat_core/threads/in_parts.hpp"
 
@@ -171,6 +172,23 @@ void VoxelMap::rebuild() {
   sum(allParts(), 1);
 }
 
+// Runs may overlap.
+void VoxelMap::joinOverlaps(std::vector<PageSpan>& parts) {
+  std::sort(parts.begin(), parts.end(), [](const PageSpan& a, const PageSpan& b) {
+    return std::pair(a.page->first_slot, a.first) < std::pair(b.page->first_slot, b.first);
+  });
+  std::size_t joined = 0;
+  for (const PageSpan part : parts) {
+    PageSpan* const last = joined > 0 ? &parts[joined - 1] : nullptr;
+    if (last && last->page == part.page && part.first <= last->first + last->count) {
+      last->count = std::max(last->first + last->count, part.first + part.count) - last->first;
+    } else {
+      parts[joined++] = part;
+    }
+  }
+  parts.resize(joined);
+}
+
 // The slots that an edit changes, none twice: it writes slots, empties slots or moves groups.
 std::vector<VoxelMap::PageSpan> VoxelMap::partsOf(const GaussianEdit& edit) const {
   std::vector<PageSpan> parts;
@@ -179,10 +197,15 @@ std::vector<VoxelMap::PageSpan> VoxelMap::partsOf(const GaussianEdit& edit) cons
       const std::uint32_t slot = first + done, at = slot % SlotPage::kSlots;
       in_page = std::min(count - done, SlotPage::kSlots - at);
       if (const SlotPage* const page = slots_.index().find(slot)) {
-        parts.push_back({page, at, in_page});
+        // Splats of another group empty a page as a whole.
+        const bool emptied =
+            edit.sh_degree >= 0 && slots_.index().groupOf(*page).number != edit.group;
+        parts.push_back(emptied ? PageSpan{page, 0, SlotPage::kSlots}
+                                : PageSpan{page, at, in_page});
       }
     }
   }
+  joinOverlaps(parts);
   if (edit.moves.empty()) return parts;
   std::vector<std::uint32_t> moved;
   for (const GroupMove& move : edit.moves) moved.push_back(move.group);

@@ -30,7 +30,13 @@ BuiltInSorter::~BuiltInSorter() {
 }
 
 void BuiltInSorter::begin() {
-  if (std::exchange(rests_, false)) feed_();
+  if (!std::exchange(rests_, false)) return;
+  try {
+    feed_();
+  } catch (...) {
+    rests_ = true;  // the next feed begins with a clear
+    throw;
+  }
 }
 
 void BuiltInSorter::rest() {
@@ -81,7 +87,9 @@ OrderPtr BuiltInSorter::sortNow(const std::string& view_id, std::uint64_t sequen
   std::unique_lock lock = ask(view_id, sequence, camera, nullptr);
   OrderPtr& order = orders_[view_id];
   order = nullptr;
-  finished_.wait(lock, [&] { return order && order->sequence == sequence; });
+  // A sort that is in progress lacks the newest edits, and ends with another order.
+  const Order* const asked = requests_[view_id].order.get();
+  finished_.wait(lock, [&] { return order.get() == asked; });
   return std::exchange(order, nullptr);
 }
 

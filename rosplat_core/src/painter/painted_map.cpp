@@ -104,9 +104,9 @@ void PaintedMap::keepViews(const std::function<bool(const std::string& view_id)>
 
 void PaintedMap::dropLevels() {
   wants_levels_ = false;
-  if (levels_bytes_ == 0) return;
-  levels_.clear();
   levels_bytes_ = 0;
+  if (!levels_.begun()) return;
+  levels_.clear();
   const std::unique_lock lock(slots_mutex_);
   slots_.dropParents();
 }

@@ -97,6 +97,7 @@ void defineMaps(py::module_& module) {
       .def(
           "miss", [](Pull& pull, const Labelled& heard) { pull.miss(labelled(heard).label); },
           "heard"_a)
+      .def("lose", &Pull::lose, "now"_a)
       .def(
           "hear",
           [](Pull& pull, const Labelled& heard, double now, bool served) {

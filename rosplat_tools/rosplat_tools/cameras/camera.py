@@ -21,7 +21,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from rosplat_core.lens_pictures import DEPTHS, LensPicture, take_picture
-from rosplat_core.lenses import Lens, LensError, Warp
+from rosplat_core.lenses import Lens, Warp
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 from rosplat_sorter.diagnostics import Diagnostics
@@ -201,7 +201,7 @@ class _Camera:
             self._warp, self._warped = None, info
             try:
                 self._warp = Warp(calibrations.lens_of(info))
-            except LensError as error:
+            except ValueError as error:  # LensError, or beyond what float32 or int64 holds
                 self._fault = f"the calibration is refused: {error}"
         if self._warp is None:
             raise NoPicture("without a lens", self._fault)
@@ -219,7 +219,7 @@ class _Camera:
                 self._map.renderer, warp, np.linalg.inv(pose).astype(np.float64),
                 near=shot.near, far=shot.far, depth=depth, normals=listened[2],
             )  # fmt: skip
-        except (RuntimeError, MemoryError) as error:
+        except (ValueError, RuntimeError, MemoryError) as error:
             raise NoPicture("not drawn", shown(error, 300) or "out of memory") from error
 
     def _publish(self, picture: LensPicture | None, header: Header) -> None:

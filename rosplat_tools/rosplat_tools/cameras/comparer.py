@@ -47,7 +47,7 @@ def compare(
     world_to_lens = taken.world_to_lens
     try:
         colour = take_picture(renderer, warp, world_to_lens, near=near, far=far).colour
-    except (RuntimeError, MemoryError) as error:
+    except (ValueError, RuntimeError, MemoryError) as error:
         raise NoPicture("not drawn", shown(error, 300) or "out of memory") from error
     rendered = to_bytes(colour)  # in 8 bits, as the camera's
     figures, errors = _measured(rendered, taken.colours, mask)

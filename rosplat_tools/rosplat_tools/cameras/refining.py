@@ -58,7 +58,7 @@ def refined(
     camera = replace(straightened.camera, world_to_camera=taken.world_to_lens, near=near, far=far)
     try:
         found = align(renderer, colours, camera, counts)
-    except (RuntimeError, MemoryError) as error:
+    except (ValueError, RuntimeError, MemoryError) as error:
         raise NoPicture("not drawn", shown(error, 300) or "out of memory") from error
     pose = np.asarray(np.linalg.inv(found.world_to_camera) @ taken.rotation, np.float64)
     return Refined(found, pose, taken.pose)

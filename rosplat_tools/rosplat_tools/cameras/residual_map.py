@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from rosplat_sorter.batches import slots_of
 from rosplat_tools.cameras.comparer import Compared
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.map_publisher import MapPublisher
+
+Value = TypeVar("Value", bound=np.generic)
 
 CHANNEL = "residual"
 PERIOD = 2.0  # between two sendings, at least [s]
@@ -43,7 +46,7 @@ class ResidualMap:
     def _begin(self) -> None:
         """Resets all values; the next sending has the whole map."""
         self._sums = np.zeros((2, 0), np.float32)  # by slot: errors times weights, and weights
-        self._written: list[NDArray[np.uint32]] = []  # slots written since the last sending
+        self._written = np.zeros(0, bool)  # by slot, whether it was written since the last sending
         self._slots: NDArray[np.uint32] | None = None  # in use at the last sending
         self._values = np.zeros(0, np.float32)  # by slot, as they were sent
 
@@ -52,7 +55,8 @@ class ResidualMap:
             self._begin()
             return
         slots = slots_of(batch)
-        self._written.append(slots)
+        self._written = grown(self._written, int(slots.max(initial=0)) + 1)
+        self._written[slots] = True
         self._sums[:, slots[slots < self._sums.shape[1]]] = 0
 
     def add(self, found: Compared, near: float, far: float) -> None:
@@ -98,16 +102,16 @@ class ResidualMap:
                 self._publisher.delete(gone)
             before = grown(self._values, capacity, np.nan)[slots]
             same = np.abs(values - before) <= LEAST_CHANGE
-            written = np.concatenate([slots[:0], *self._written])
-            changed = ~same & ~(np.isnan(values) & np.isnan(before)) | np.isin(slots, written)
+            written = grown(self._written, capacity)[slots]
+            changed = ~same & ~(np.isnan(values) & np.isnan(before)) | written
         if changed.any():
             self._publisher.upsert(slots[changed], splats[changed])
-        self._slots, self._written = slots, []
+        self._slots, self._written = slots, np.zeros(0, bool)
         self._values = np.full(capacity, np.nan, np.float32)
         self._values[slots] = values
 
 
-def grown(by_slot: NDArray[np.float32], capacity: int, by: float = 0.0) -> NDArray[np.float32]:
+def grown(by_slot: NDArray[Value], capacity: int, by: float = 0.0) -> NDArray[Value]:
     """The array, its last axis padded to at least the number of a map's slots."""
     more = max(0, capacity - by_slot.shape[-1])
     widths = [(0, 0)] * (by_slot.ndim - 1) + [(0, more)]

@@ -19,7 +19,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
-from rosplat_core.lenses import Lens, LensError
+from rosplat_core.lenses import Lens
 from rosplat_core.splats import SceneError
 from rosplat_sorter.qos import overridable
 from rosplat_tools.cameras import calibrations
@@ -114,7 +114,7 @@ class PictureReader(Generic[Optics]):
                 else:
                     lens = calibrations.lens_of(info)
                 self._lens = info, self._prepare(lens), turned
-            except LensError as error:
+            except ValueError as error:  # LensError, or beyond what float32 or int64 holds
                 raise NoPicture("without a lens", f"camera_info is refused: {error}") from error
         return self._lens[1:]
 

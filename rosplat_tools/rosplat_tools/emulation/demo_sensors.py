@@ -63,6 +63,7 @@ IMU_RATE = 200  # of TF, too [Hz]
 IMAGE_RATE = 10  # of camera poses, and at most of pictures [Hz]
 BACKLOG = SECOND // 2  # the longest delay that a tick makes up for [ns]
 MAP_TIMEOUT = 3.0  # how long the rest of a map is waited for before the path is laid [s]
+FARTHEST = 1e15  # that a splat may be to count [m]
 MAP_SAMPLES = 2000  # most positions of a batch that the path is laid around
 ORDER_TIMEOUT = 0.2  # what a renderer may wait for a sorter [s]
 PICTURE_TIMEOUT = 5.0  # after which a renderer's answer is given up [s]
@@ -158,7 +159,8 @@ class DemoSensors(Node):
         self._received += len(positions)
         positions = positions[:: len(positions) // MAP_SAMPLES + 1]
         origin = np.array([message.origin.x, message.origin.y, message.origin.z])
-        self._samples.append(positions[np.isfinite(positions).all(axis=1)] + origin)
+        sample = positions + origin
+        self._samples.append(sample[(np.abs(sample) <= FARTHEST).all(axis=1)])
         waited = time.monotonic() - self._begun
         if self._received < message.expected_slots and waited < MAP_TIMEOUT:
             return

@@ -162,7 +162,9 @@ void GaussianClient::note(const std::string& map_id) {
 
 void GaussianClient::act(Pull::Step step) {
   if (step.request) send(*step.request);  // first, so that it is answered meanwhile
-  for (const auto& [message, arrival] : step.batches) take(*message, arrival);
+  for (const auto& [message, arrival] : step.batches) {
+    if (!take(*message, arrival)) return pull_.lose(now());
+  }
 }
 
 void GaussianClient::send(const Pull::Request& request) {
@@ -182,7 +184,7 @@ void GaussianClient::send(const Pull::Request& request) {
   pull_client_->ask(std::move(asked), answer);
 }
 
-void GaussianClient::take(const GaussianArray& message, Arrival arrival) {
+bool GaussianClient::take(const GaussianArray& message, Arrival arrival) {
   try {
     GaussianBatch batch = toBatch(message);
     batch.arrival = arrival;
@@ -195,7 +197,9 @@ void GaussianClient::take(const GaussianArray& message, Arrival arrival) {
     refuse(error.what());
   } catch (const std::bad_alloc&) {
     refuse("memory is lacking");
+    return false;
   }
+  return true;
 }
 
 void GaussianClient::refuse(const std::string& why) {

@@ -108,7 +108,8 @@ class GaussianClient {
   void note(const std::string& map_id);
   void act(Pull::Step step);
   void send(const Pull::Request& request);
-  void take(const GaussianArray& message, Arrival arrival);
+  // Returns false if there was no memory for a batch.
+  bool take(const GaussianArray& message, Arrival arrival);
   bool served() const { return pull_client_->service_is_ready(); }
   void refuse(const std::string& why);
   void receive(SplatOrder& message);

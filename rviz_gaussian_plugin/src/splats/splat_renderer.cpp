@@ -197,6 +197,7 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView
   const std::function<void()>& translucent = around.translucent;
   glFlush();  // the graphics card begins with what the scene has drawn so far
   gl::deleteAbandoned();
+  const gl::Turn turn(sort_is_free_);
   const RenderSettings& settings = maps.front().settings;
   ViewState& view = *this->view(join(maps)).state;
   std::vector<CardMap::Chosen> chosen;
@@ -276,6 +277,7 @@ void SplatRenderer::drawBefore(const std::string& view_id) const {
 }
 
 void SplatRenderer::drawSurface(const std::vector<CardView>& maps, Canvas canvas, double far_clip) {
+  const gl::Turn turn(sort_is_free_);
   gl::Stopwatch stopwatch(false);
   const CanvasScope window(canvas);
   ViewState& view = *this->view(kMouseView).state;
@@ -297,6 +299,7 @@ void SplatRenderer::drawSurface(const std::vector<CardView>& maps, Canvas canvas
 
 void SplatRenderer::drawPick(const std::vector<CardView>& maps, Canvas canvas,
                              std::uint32_t number) {
+  const gl::Turn turn(sort_is_free_);
   gl::Stopwatch stopwatch(false);
   const CanvasScope window(canvas);
   ViewState& view = *this->view(kMouseView).state;

@@ -129,7 +129,8 @@ class SplatRenderer {
   Shaders shaders_;
   const gl::Program& scatter_;  // slot_scatter.comp
   SlotReader reader_;
-  RadixSort sort_;
+  RadixSort sort_;  // which the contexts of all windows use
+  GLsync sort_is_free_ = nullptr;
   std::optional<bool> sorts_;
   SplatPicker picker_;
   const gl::Program &divide_, &composite_, &compute_composite_, &hide_, &surface_;

@@ -91,6 +91,8 @@ class Levels {
   const std::vector<Nodes>& groups() const { return nodes_; }  // by index; further groups have none
   const std::vector<LevelSamples>& samples() const { return samples_; }  // the same
   std::size_t nodes() const;
+  // Whether there is memory to free with clear().
+  bool begun() const { return begun_; }
   std::size_t bytes() const;
 
  private:

@@ -172,6 +172,7 @@ class GaussianMap {
 
   int most_sh_degree_;
   mutable Locks locks_;
+  std::uint64_t lost_ = 0;  // pulled batches that failed, of the pull in progress
   MapState state_;
   MapSample sample_;
   Groups groups_;

@@ -95,6 +95,15 @@ class MapPull {
     exact_ = false;
   }
 
+  // The caller had no memory for a batch that it was to apply, and applied none after it: all of
+  // the map is pulled, after a while.
+  void lose(double now) {
+    stop();
+    exact_ = false;
+    base_ = 0;
+    retry_from_ = now + kRetry;
+  }
+
   // Takes an answer to a request; several servers may send one each. Answers to earlier requests
   // are ignored, and so are those after the first that has batches.
   Step answer(std::uint64_t number, std::vector<Labelled> batches, std::uint32_t next_block,

@@ -107,8 +107,8 @@ class PublishedMap {
   Poses poses() const;
 
   // Replaces the map by splats, in slots 0 to n - 1 and group 0, and forgets the poses of groups.
-  // expected_slots: how many slots the finished map will need, by default n. If sending fails, the
-  // previous map stays and is sent again.
+  // expected_slots: how many slots the finished map will need, by default n without the splats that
+  // are left out. If sending fails, the previous map stays and is sent again.
   void replace(const Splats& splats, std::optional<std::uint32_t> expected_slots = std::nullopt,
                const When& stamp = std::nullopt);
   // Moves the splats into the map without a copy.

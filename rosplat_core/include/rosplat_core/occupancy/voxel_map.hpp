@@ -104,6 +104,7 @@ class VoxelMap {
   };
 
   std::vector<PageSpan> partsOf(const GaussianEdit& edit) const;
+  static void joinOverlaps(std::vector<PageSpan>& parts);
   std::vector<PageSpan> allParts() const;
   // sign: 1 to add what the slots hold, -1 to take it away.
   void sum(const std::vector<PageSpan>& parts, int sign);

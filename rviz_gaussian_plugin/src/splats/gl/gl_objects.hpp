@@ -144,6 +144,25 @@ void dispatchInvocations(std::size_t invocations);
 // Makes writes to storage buffers visible to later shaders, and to later copies and reads.
 void storageBarrier();
 
+// Has contexts that share objects take turns: the commands of a Turn wait for those of the last
+// one, which may be another context's.
+class Turn {
+ public:
+  // over: belongs to what is shared, null before the first turn.
+  explicit Turn(GLsync& over) : over_(over) {
+    if (over_) glWaitSync(over_, 0, GL_TIMEOUT_IGNORED);
+  }
+  Turn(const Turn&) = delete;
+  Turn& operator=(const Turn&) = delete;
+  ~Turn() {
+    if (over_) glDeleteSync(over_);
+    over_ = glFenceSync(GL_SYNC_GPU_COMMANDS_COMPLETE, 0);
+  }
+
+ private:
+  GLsync& over_;
+};
+
 // Discards OpenGL's pending errors.
 void dropErrors();
 

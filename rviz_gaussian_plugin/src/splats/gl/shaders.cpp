@@ -31,7 +31,9 @@ int subgroupSize() {
 
 Shaders::Shaders(ShaderSource source)
     : source_(std::move(source)), groups_wait_(gl::accelerated()), warp_(subgroupSize()) {
-  part_size_ = std::min<std::size_t>(gl::largestStorageBuffer() / kEllipseBytes, kMaxSlots);
+  // A picture may show several maps of kMaxSlots.
+  constexpr std::size_t kMost = kEllipseParts * kMaxSlots;
+  part_size_ = std::min<std::size_t>(gl::largestStorageBuffer() / kEllipseBytes, kMost);
   parts_ = part_size_ >= kMaxSlots ? 1 : kEllipseParts;
 }
 

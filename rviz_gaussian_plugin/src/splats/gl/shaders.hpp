@@ -36,6 +36,7 @@ class Shaders {
 
   // How many projected splats fit in one buffer. The renderer has at most kEllipseParts of these.
   std::size_t partSize() const { return part_size_; }
+  std::size_t mostEllipses() const { return parts_ * part_size_; }
 
   static constexpr std::size_t kEllipseBytes = 32;  // as splat_common.glsl packs them
   static constexpr std::size_t kEllipseParts = 4;

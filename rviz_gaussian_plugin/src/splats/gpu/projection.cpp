@@ -33,15 +33,15 @@ Projection::Projection(Shaders& shaders, const Tallies& tallies)
                                 "splat_ellipses.glsl", "splat_tiles.glsl", "splat_project.comp"})),
       prefix_sum_(shaders),
       part_size_(shaders.partSize()),
+      most_(shaders.mostEllipses()),
       words_(tallies.of(Tallies::kSlotWords)),
       visible_count_(tallies.of(Tallies::kVisible)),
       depth_range_(tallies.of(Tallies::kDepthRange)) {}
 
 void Projection::reserve(std::size_t count) {
   if (count <= room_) return;
-  if (count > Shaders::kEllipseParts * part_size_) {
-    throw gl::Error("the graphics driver's buffers hold " +
-                    std::to_string(Shaders::kEllipseParts * part_size_) +
+  if (count > most_) {
+    throw gl::Error("the graphics driver's buffers hold " + std::to_string(most_) +
                     " visible splats, this view has " + std::to_string(count));
   }
   room_ = 0;  // stays so if memory is lacking
@@ -107,6 +107,7 @@ void Projection::askForLayers() {
   if (visible_before_.bytes() != layers * sizeof(GLuint)) {
     visible_before_ = gl::Buffer(layers * sizeof(GLuint), GL_DYNAMIC_COPY);
     visible_before_copy_.emplace(layers);
+    gl::settle();
   }
   constexpr std::size_t kPageWords = SlotPage::kSlots / 32;
   for (std::size_t layer = 0; layer < layers && begins[layer] < begins.back(); ++layer) {

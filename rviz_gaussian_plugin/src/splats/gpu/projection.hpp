@@ -54,7 +54,7 @@ class Projection {
   PageTable pages_;
   const gl::Program &cull_, &project_;
   PrefixSum prefix_sum_;
-  std::size_t part_size_;
+  std::size_t part_size_, most_;
   gl::Buffer groups_, maps_;  // as splat_groups.glsl and splat_map.glsl have them
   gl::Buffer visible_, before_;
   Tally words_, visible_count_;

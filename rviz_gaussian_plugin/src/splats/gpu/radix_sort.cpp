@@ -66,12 +66,13 @@ bool RadixSort::sortsRight() {
   std::transform(places.begin(), places.end(), sorted.begin(), [&](GLuint i) { return keys[i]; });
 
   const gl::Buffer numbers(2 * gl::Slice::kAlignment, GL_DYNAMIC_COPY);
+  gl::Buffer ordered(kKeys * sizeof(GLuint), GL_DYNAMIC_COPY);
+  gl::settle();
   Tally count({numbers.id(), 0, Tally::kBytes});
   count.set(kKeys);
   const gl::Slice least{numbers.id(), gl::Slice::kAlignment, Tally::kBytes};
   const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> words{kLeast};
   least.write(words.data());
-  gl::Buffer ordered(kKeys * sizeof(GLuint), GL_DYNAMIC_COPY);
   reserve(kKeys);
 
   const auto holds = [&](const gl::Buffer& buffer, const std::vector<GLuint>& expected) {

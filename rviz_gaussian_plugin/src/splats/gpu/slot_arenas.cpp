@@ -65,7 +65,8 @@ void SlotArenas::addLevels() {
 
 void SlotArenas::dropLevels() {
   levels_ = false;
-  for (Arena& arena : arenas_) arena.levels.release();
+  // A slot of Qt may call this with another context current: see gl::Object.
+  for (Arena& arena : arenas_) arena.levels = gl::Buffer();
 }
 
 // The last arena grows by a quarter at least, so that copies stay in proportion to its size.

@@ -51,9 +51,10 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
   std::vector<std::uint32_t> words(held.size());
   std::transform(held.begin(), held.end(), words.begin(), [](const Held& of) { return of.place; });
   gl::Buffer wanted(words.size() * kWord, GL_STREAM_DRAW);
+  const gl::Buffer gathered(held.size() * stride * kWord, GL_STREAM_READ);
+  gl::settle();
   wanted.write(0, words.data(), wanted.bytes());
   words.resize(held.size() * stride);
-  const gl::Buffer gathered(words.size() * kWord, GL_STREAM_READ);
 
   gather_.use();
   gather_.bind("Wanted", wanted);

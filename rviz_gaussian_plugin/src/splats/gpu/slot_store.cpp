@@ -40,12 +40,15 @@ void SlotStore::apply(const GaussianEdit& edit, double now) {
   }
   capacity_ = std::max(capacity_, edit.capacity);
   pages_.apply(edit);
+  // Before anything may fail: the edit is applied again then, and finds these pages regrouped.
+  for (const std::uint32_t first_slot : pages_.emptied()) {
+    if (const SlotPage& page = *pages_.find(first_slot); holds(page)) empty(page);
+  }
   arenas_.addBands(edit.sh_degree);
   for (std::size_t channel = 0; channel < kMostChannels; ++channel) {
     if (!edit.channels[channel].empty()) arenas_.addChannels(channel + 1);
   }
   arenas_.makeRoom(static_cast<std::uint32_t>(pages_.pages().size()));
-  for (const std::uint32_t first_slot : pages_.emptied()) empty(*pages_.find(first_slot));
   const std::vector<Piece> all = pieces(edit);
   const std::uint32_t change = static_cast<std::uint32_t>(now) << 16;
   if (all.size() >= kFewScattered && countSlots(edit.runs) / all.size() < kLongRun) {
