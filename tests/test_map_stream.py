@@ -520,6 +520,21 @@ def test_what_there_was_no_room_for_is_pulled_once_there_is() -> None:
     assert (request.map_id, request.after_revision) == ("another", 0)
 
 
+def test_a_map_that_no_server_has_any_more_gives_way_to_another() -> None:
+    """As of a publisher that began anew, of which nothing was heard."""
+    pull = Pull()
+    pull.hear(Label("old", 4, True), "four", 0.0, True)
+    request = pull.tick(2.1, True).request
+    assert request.map_id == "old"
+    assert pull.answer(request.number, [], 0, 2.2, True) == Step()
+    asked = (pull.tick(2.2 + 0.1 * i, True).request for i in range(100))
+    request = next(request for request in asked if request)
+    assert (request.map_id, request.after_revision, request.first_block) == ("", 0, 0)
+    step = pull.answer(request.number, [part(3, "new", replaces=True)], 0, 20.0, True)
+    assert step.batches == [("pulled 3", Arrival.LAST)]
+    assert step.request.map_id == "new"  # whether anything got lost since
+
+
 def test_after_a_batch_without_memory_all_is_pulled_after_a_while() -> None:
     pull = Pull()
     pull.hear(Label("map", 1, True), "one", 0.0, True)

@@ -116,6 +116,10 @@ class MapPull {
       return step;
     }
     asked_.reset();
+    if (std::exchange(gone_, false) && batches.front().label.map_id != map_id_) {
+      stop();
+      begin(batches.front().label.map_id);
+    }
     if (!lacks() && !pulling_ && batches.front().label.map_id == *map_id_ &&
         batches.front().label.revision <= revision_) {
       return step;  // nothing got lost
@@ -162,6 +166,7 @@ class MapPull {
     if (pulling_ && (hopeless || !(served || answered_))) {
       giveUp(now, step);
     } else if (late) {
+      gone_ = refused_ && !pulling_;
       patience_ = std::min(2 * patience_, kMostPatience);
       asked_.reset();
     }
@@ -178,6 +183,7 @@ class MapPull {
   static constexpr double kNever = -std::numeric_limits<double>::infinity();
 
   void note(const Label& label) {
+    gone_ = false;
     if (label.map_id != map_id_) {
       if (map_id_) stop();
       begin(label.map_id);
@@ -296,7 +302,11 @@ class MapPull {
     check_from_ = now + kQuiet;
     blind_from_ = now + kBlind;
     asked_ = now;
-    step.request = Request{++number_, map_id_.value_or(""), base_, block_};
+    if (gone_) {
+      step.request = Request{++number_, "", 0, 0};
+    } else {
+      step.request = Request{++number_, map_id_.value_or(""), base_, block_};
+    }
   }
 
   bool lacks() const { return !exact_ || !map_id_; }
@@ -324,6 +334,7 @@ class MapPull {
   std::uint64_t ended_at_ = 0;   // revision of the last answer of a round, 0 until it ends
   std::uint64_t number_ = 0;     // of the last request
   std::optional<double> asked_;  // when the request that awaits an answer was sent [s]
+  bool gone_ = false;            // no server has the map any more: any other is asked for
   bool refused_ = false;         // a server answered that it lacks the map
   bool answered_ = false;        // a server answers, even if none is known
   double patience_ = kPatience;
