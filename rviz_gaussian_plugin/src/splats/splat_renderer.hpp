@@ -130,7 +130,7 @@ class SplatRenderer {
   const gl::Program& scatter_;  // slot_scatter.comp
   SlotReader reader_;
   RadixSort sort_;  // which the contexts of all windows use
-  GLsync sort_is_free_ = nullptr;
+  GLsync sort_is_free_ = nullptr;  // of the last gl::Turn; the destructor leaves it to its context
   std::optional<bool> sorts_;
   SplatPicker picker_;
   const gl::Program &divide_, &composite_, &compute_composite_, &hide_, &surface_;
