@@ -129,7 +129,7 @@ class SplatRenderer {
   Shaders shaders_;
   const gl::Program& scatter_;  // slot_scatter.comp
   SlotReader reader_;
-  RadixSort sort_;  // which the contexts of all windows use
+  RadixSort sort_;                 // which the contexts of all windows use
   GLsync sort_is_free_ = nullptr;  // of the last gl::Turn; the destructor leaves it to its context
   std::optional<bool> sorts_;
   SplatPicker picker_;
