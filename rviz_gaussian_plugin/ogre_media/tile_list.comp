@@ -12,8 +12,9 @@ layout(std430) readonly buffer Boxes { uint boxes[]; };
 
 // Splats on more tiles than this are listed by 32 lanes, which find a row each, then list row by row.
 const uint kLarge = 32u, kParts = 256u / 32u;
-// The nearest splats are the largest: up to so many work groups take 32 splats of each eighth of the order.
-const uint kFewGroups = 2048u;
+// Few splats are dealt out to many work groups, which take 32 from each of some parts of the order: the nearest
+// splats are the largest. If splats are on many tiles, there are more work groups, with all lanes for large splats.
+const uint kFewSplats = 524288u, kFewEach = 64u, kManyTiles = 8u;
 
 shared uint large_count, most_rows;
 shared uint large[256];
@@ -78,13 +79,15 @@ uint touchedBy(uint i) {
 }
 
 void main() {
-  uint groups = (drawn_tally.count + 255u) / 256u;
+  uint count = drawn_tally.count;
+  bool few = count <= kFewSplats;
+  uint each = few && listed.count > kManyTiles * count ? kFewEach : 256u, groups = (count + each - 1u) / each;
   if (workGroup() >= groups) return;
   if (gl_LocalInvocationIndex == 0u) large_count = 0u;
   barrier();
   uint lane = gl_LocalInvocationIndex % kListed, part = gl_LocalInvocationIndex / kListed;
-  uint i = groups > kFewGroups ? invocation() : kListed * (part * groups + workGroup()) + lane;
-  uint touched = touchedBy(i);
+  uint i = few ? kListed * (part * groups + workGroup()) + lane : invocation();
+  uint touched = gl_LocalInvocationIndex < each ? touchedBy(i) : 0u;
   if (touched > kLarge) {
     large[atomicAdd(large_count, 1u)] = i;
   } else if (touched > 0u) {

@@ -12,6 +12,8 @@ namespace {
 constexpr int kPatience = 64;             // pictures until memory that was lacking is tried again
 constexpr std::size_t kListed = 32;       // splats counted together, as in splat_tiles.glsl
 constexpr std::size_t kRangesEach = 255;  // tiles, as in tile_ranges.comp
+// Splats of a work group that lists them, and how many splats are few; as in tile_list.comp.
+constexpr std::size_t kListedEach = 256, kFewListedEach = 64, kFewSplats = 524288;
 
 // Splats in a tile's first and in its later segments. With shorter first segments the last work
 // groups end sooner, but more splats are blended that walls hide.
@@ -20,6 +22,8 @@ constexpr std::size_t kMostLater = 32768;  // every driver dispatches as many in
 // The work groups of tile_segments.glsl: none yet.
 constexpr std::array<GLuint, 6> kNoGroups{0, 1, 1, 0, 1, 1};
 constexpr GLintptr kLaterGroups = 0, kCutGroups = 3 * sizeof(GLuint);
+
+std::size_t ceilDiv(std::size_t a, std::size_t b) { return (a + b - 1) / b; }
 
 GLuint laterSegment(std::size_t room) {
   return std::max(kLaterSegment, static_cast<GLuint>(room / kMostLater));
@@ -133,7 +137,9 @@ void TileRasterizer::list(const OrderedSplats& splats, gl::Stopwatch& stopwatch)
   list_.bind("Tiles", sort_.keys());
   list_.bind("Splats", sort_.values(bits, splats_));
   list_.bind("Boxes", splats.projection().boxes());
-  splats.tally().dispatchGroups();
+  // Work groups beyond the count end at once.
+  gl::dispatch(std::max(ceilDiv(std::min(splats.most(), kFewSplats), kFewListedEach),
+                        ceilDiv(splats.most(), kListedEach)));
   gl::storageBarrier();
   stopwatch.lap("list");
   sort_.sort(pair_count_, zero_, bits, splats_);
