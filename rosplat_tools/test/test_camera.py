@@ -8,7 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
+from builtin_interfaces.msg import Time
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image
 
 from rosplat_core.cameras import look_at
@@ -19,6 +22,7 @@ from rosplat_core.rendering import CpuRenderer
 from rosplat_testing import PATIENCE, Listener
 from rosplat_testing.studio import Log, Studio, transform
 from rosplat_tools.cameras.calibrations import of_lens
+from rosplat_tools.frames import FrameError, Frames
 from rosplat_tools.images import from_image, to_bytes
 from rosplat_tools.map_publisher import MapPublisher
 
@@ -133,6 +137,30 @@ def test_a_camera_as_calibrated_by_a_topic_and_what_it_refuses(
         assert sum(said in line for line in log.lines) == 1
 
 
+@pytest.mark.usefixtures("publisher")
+def test_a_camera_outlives_lenses_and_poses_beyond_all_numbers(
+    studio: Studio, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    studio.hear("image_raw")
+    log = Log(start("camera", poses="topic", **{"camera.calibration": "topic"}))
+    endless = of_lens(BARREL)
+    endless.k[0] = endless.k[4] = 1e300
+    far = EYE.copy()
+    far[:3, 3] = 1e300
+
+    def says(said: str, info: CameraInfo, pose: np.ndarray) -> bool:
+        studio.calibrate(info)  # again: the first may come before the camera hears it
+        studio.pose(pose)
+        return log.has(said)
+
+    studio.listener.wait(lambda: says("fx is too small or too large", endless, EYE))
+    studio.listener.wait(lambda: says("pose.position is not finite, or too", of_lens(BARREL), far))
+    studio.pose(EYE)
+    expected = to_bytes(drawn(BARREL, EYE).colour)
+    while not np.array_equal(from_image(studio.next()), expected):
+        studio.pose(EYE)
+
+
 def test_nothing_is_published_of_a_map_in_part_or_a_pose_elsewhere(
     node: Node, studio: Studio, start: Callable[..., subprocess.Popen[str]]
 ) -> None:
@@ -201,3 +229,28 @@ def test_a_camera_follows_tf(
         assert image.header.stamp.sec == second
         difference = from_image(image).astype(int) - to_bytes(drawn(LENS, eye).colour)
         assert np.abs(difference).max() <= 1  # poses are multiplied
+
+
+def test_tf_of_a_run_ends_where_simulated_time_begins_anew(node: Node) -> None:
+    tf2_ros = pytest.importorskip("tf2_ros")
+    from rosgraph_msgs.msg import Clock
+
+    listening = rclpy.create_node(
+        "listening", namespace=node.get_namespace(), context=node.context,
+        parameter_overrides=[Parameter("use_sim_time", value=True)],
+    )  # fmt: skip
+    listener, sent = Listener(listening), tf2_ros.TransformBroadcaster(node)
+    frames, ticks = Frames(listening), node.create_publisher(Clock, "/clock", 10)
+
+    def found(second: int, pose: np.ndarray) -> bool:
+        ticks.publish(Clock(clock=Time(sec=second)))
+        sent.sendTransform(transform("map", "body", pose, second))
+        try:
+            return np.allclose(frames.pose("body", "map")[1], pose)
+        except FrameError:
+            return False
+
+    listener.wait(lambda: found(500, np.linalg.inv(EYE)))
+    for _ in range(30):
+        listener.spin_once()  # takes what is still on its way
+    listener.wait(lambda: found(3, np.linalg.inv(BESIDE)))
