@@ -17,6 +17,7 @@ from rosplat_core.cameras import Camera
 from rosplat_core.ordering import view_of
 from rosplat_core.rendering import MOST_PSNR
 from rosplat_core.splats import Splats
+from rosplat_core.view import SortView
 from rosplat_lab import metrics, reference
 from rosplat_lab.bench import scenes
 from rosplat_lab.bench.sort import map_of
@@ -60,13 +61,8 @@ def _draw(name: str, by: Draw, look: Callable[[Splats], Camera]) -> Truth:
     splats = _scene(name)
     camera = look(splats)
     rows, columns = compared(camera.width, camera.height)
-    window = replace(
-        camera, width=columns.stop - columns.start, height=rows.stop - rows.start,
-        cx=camera.cx - columns.start, cy=camera.cy - rows.start,
-    )  # fmt: skip
-    seen = splats[np.sort(orders(splats, [window])[0])]
     crop = (columns.start, rows.start, columns.stop, rows.stop)
-    return by(seen, camera, crop).astype(np.float32)
+    return by(splats[seen(splats, camera, crop)], camera, crop).astype(np.float32)
 
 
 @lru_cache(maxsize=1)
@@ -93,8 +89,24 @@ def psnr(drawn: NDArray[np.floating], truth: Truth) -> float:
     return min(metrics.psnr(middle(drawn), np.clip(truth, 0, 1)), MOST_PSNR)
 
 
+def seen(splats: Splats, camera: Camera, crop: Crop) -> NDArray[np.uint32]:
+    """Rows of the splats that a part of a camera's picture may show, ascending."""
+    left, top, right, bottom = crop
+    window = replace(
+        camera, width=right - left, height=bottom - top, cx=camera.cx - left, cy=camera.cy - top
+    )
+    part, whole = view_of(window, splats), view_of(camera, splats)
+    # A part's footprints grow as in the whole picture.
+    part = replace(part, slope_x=whole.slope_x, slope_y=whole.slope_y)
+    return np.sort(_orders(splats, [part])[0])
+
+
 def orders(splats: Splats, cameras: Sequence[Camera]) -> list[NDArray[np.uint32]]:
     """A sorter's orders, by the native backend."""
+    return _orders(splats, [view_of(camera, splats) for camera in cameras])
+
+
+def _orders(splats: Splats, views: Sequence[SortView]) -> list[NDArray[np.uint32]]:
     sorter, sorted_map = open_backend("native"), map_of(splats)
     sorter.update(sorted_map, slice(0, sorted_map.rows))
-    return [np.array(sorter.order(view_of(camera, splats))) for camera in cameras]
+    return [np.array(sorter.order(view)) for view in views]
