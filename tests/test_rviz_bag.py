@@ -130,7 +130,7 @@ def test_a_bag_is_played_paused_looped_and_sought_in(tmp_path: Path, remote: Wor
         command(Pause, "pause")
         rviz.until_still()
         rviz.until_status("Map", "Transform", "Ok")
-        command(SetRate, "set_rate", rate=0.25)  # or a slow machine misses what comes next
+        command(SetRate, "set_rate", rate=0.1)  # or a slow machine misses what comes next
         command(Resume, "resume")
 
         rviz.until(lambda s: seen(s) == (False, True))
