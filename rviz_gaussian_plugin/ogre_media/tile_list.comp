@@ -12,8 +12,8 @@ layout(std430) readonly buffer Boxes { uint boxes[]; };
 
 // Splats on more tiles than this are listed by 32 lanes, which find a row each, then list row by row.
 const uint kLarge = 32u, kParts = 256u / 32u;
-// Few splats are dealt out to many work groups, which take 32 from each of some parts of the order: the nearest
-// splats are the largest. If splats are on many tiles, there are more work groups, with all lanes for large splats.
+// The nearest splats are the largest. Of few splats, a work group takes 32 of each eighth of the order; or of each
+// half, if splats touch more than kManyTiles tiles on average, so that more work groups share the large ones.
 const uint kFewSplats = 524288u, kFewEach = 64u, kManyTiles = 8u;
 
 shared uint large_count, most_rows;

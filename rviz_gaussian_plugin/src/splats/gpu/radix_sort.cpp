@@ -19,7 +19,7 @@ constexpr std::size_t kTotals = kDigits * 32 / RadixSort::kDigitBits;
 const Shaders::Files kScatter{"group_sum.glsl", "look_back.glsl", "radix_digit.glsl",
                               "radix_scatter.comp"};
 
-std::size_t blocks(std::size_t count) { return (count + Tally::kBlock - 1) / Tally::kBlock; }
+std::size_t blocks(std::size_t count) { return ceilDiv(count, Tally::kBlock); }
 }  // namespace
 
 RadixSort::RadixSort(Shaders& shaders)

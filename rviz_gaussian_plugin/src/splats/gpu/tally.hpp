@@ -7,6 +7,8 @@
 
 namespace rosplat {
 
+constexpr std::size_t ceilDiv(std::size_t a, std::size_t b) { return (a + b - 1) / b; }
+
 // Returns the room to make for a count that may be larger in the next frame, and grows by a factor.
 constexpr std::size_t withSlack(std::size_t count, double growth = 1) {
   return static_cast<std::size_t>(growth * static_cast<double>(count + count / 8));

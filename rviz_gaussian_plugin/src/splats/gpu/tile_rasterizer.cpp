@@ -23,8 +23,6 @@ constexpr std::size_t kMostLater = 32768;  // every driver dispatches as many in
 constexpr std::array<GLuint, 6> kNoGroups{0, 1, 1, 0, 1, 1};
 constexpr GLintptr kLaterGroups = 0, kCutGroups = 3 * sizeof(GLuint);
 
-std::size_t ceilDiv(std::size_t a, std::size_t b) { return (a + b - 1) / b; }
-
 GLuint laterSegment(std::size_t room) {
   return std::max(kLaterSegment, static_cast<GLuint>(room / kMostLater));
 }
