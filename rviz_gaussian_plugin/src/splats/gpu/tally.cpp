@@ -16,23 +16,13 @@ void Tally::set(std::size_t count) {
   known_ = true;
   count_ = count;
   const auto n = static_cast<GLuint>(count);
-  const std::size_t groups = ceilDiv(count, 256);
-  const std::size_t blocks = std::max(ceilDiv(count, kBlock), std::size_t{1});
-  const std::size_t group_rows = std::max(ceilDiv(groups, 65535), std::size_t{1});
-  const std::size_t block_rows = ceilDiv(blocks, 65535);
-  const auto word = [](std::size_t value) { return static_cast<GLuint>(value); };
-  const std::array<GLuint, 12> words{n,
-                                     n,
-                                     word(ceilDiv(groups, group_rows)),
-                                     word(group_rows),
-                                     1,
-                                     word(ceilDiv(blocks, block_rows)),
-                                     word(block_rows),
-                                     1,
-                                     4,
-                                     n,
-                                     0,
-                                     0};
+  const GLuint groups = ceilDiv(count, 256), blocks = std::max(ceilDiv(count, kBlock), 1u);
+  const GLuint group_rows = std::max(ceilDiv(groups, 65535), 1u);
+  const GLuint block_rows = ceilDiv(blocks, 65535);
+  const std::array<GLuint, 12> words{n,          n, ceilDiv(groups, group_rows),
+                                     group_rows, 1, ceilDiv(blocks, block_rows),
+                                     block_rows, 1, 4,
+                                     n,          0, 0};
   static_assert(sizeof(words) == kBytes);
   words_.write(words.data());
 }

@@ -7,7 +7,9 @@
 
 namespace rosplat {
 
-constexpr std::size_t ceilDiv(std::size_t a, std::size_t b) { return (a + b - 1) / b; }
+constexpr GLuint ceilDiv(std::size_t a, std::size_t b) {
+  return static_cast<GLuint>((a + b - 1) / b);
+}
 
 // Returns the room to make for a count that may be larger in the next frame, and grows by a factor.
 constexpr std::size_t withSlack(std::size_t count, double growth = 1) {
