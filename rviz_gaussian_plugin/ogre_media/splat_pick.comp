@@ -2,10 +2,10 @@
 // transmittance of the splats before it. A work group walks a tile's splats front to back, a batch at a time.
 
 layout(local_size_x = 16, local_size_y = 16) in;
-layout(std430) readonly buffer Splats { uint splat_of[]; };  // nearest first
+layout(std430) readonly buffer Splats { uint splats[]; };     // nearest first
 layout(std430) writeonly buffer Picked { uint picked[]; };   // as page_table.hpp numbers slots, or kNone
 layout(std430) readonly buffer Length { Tally drawn_tally; };
-layout(std430) readonly buffer Begins { uint begins[]; };
+layout(std430) readonly buffer Lists { TileList lists[]; };  // in `splats`
 layout(binding = 0) uniform sampler2D scene_depth;
 
 uniform bool listed;     // the splats are listed by tiles; else they are all that is drawn
@@ -45,15 +45,15 @@ void main() {
 
   uint first = 0u, end = drawn_tally.count;
   if (listed) {
-    uint index = uint(tile.y * view.tiles.x + tile.x);
-    first = begins[index];
-    end = begins[index + 1u];
+    TileList list = lists[tile.y * view.tiles.x + tile.x];
+    first = list.begin;
+    end = list.end;
   }
   for (; first < end; first += kBatch) {
     if (lane == 0u) searching = 0u;
     barrier();
     if (transmittance > most) atomicAdd(searching, 1u);
-    if (first + lane < end) take(lane, splat_of[first + lane]);
+    if (first + lane < end) take(lane, splats[first + lane]);
     barrier();
     if (searching == 0u) break;
     uint count = min(kBatch, end - first);

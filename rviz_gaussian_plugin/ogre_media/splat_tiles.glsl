@@ -1,12 +1,19 @@
-// The picture's tiles of 16x16 pixels, and which of them a splat touches.
+// The picture's tiles of 16x16 pixels, its macro tiles of 8x4 tiles, and which of them a splat touches.
 
 #ifndef EXACTLY
 #define EXACTLY
 #endif
 
 ivec2 tileAt(uint number) { return ivec2(int(number) % view.tiles.x, int(number) / view.tiles.x); }
-// Splats whose tiles are counted together.
-const uint kListed = 32u;
+
+const ivec2 kMacro = ivec2(8, 4);  // tiles of a macro tile
+ivec2 macroTiles() { return (view.tiles + kMacro - 1) / kMacro; }
+
+// A tile's splats, nearest first, in the list of all tiles.
+struct TileList {
+  uint begin, end;
+  uint first_segment;  // as tile_segments.glsl has it, kNone if the list isn't cut
+};
 
 // 32 lanes blend a block of a tile's pixels, and skip the splats that don't reach it.
 const ivec2 kPart = ivec2(8, 4);
@@ -58,15 +65,19 @@ ivec2 cellsIn(vec2 range, float size, int cells) {
   return ivec2(clamp(floor(pixels / size) + vec2(0.0, 1.0), 0.0, float(cells)));
 }
 
-ivec2 tileRows(Outline o) {
+// Rows of cells of so many pixels that the ellipse touches, and columns that it touches in one of them.
+ivec2 rowsOf(Outline o, int height, int rows) {
   EXACTLY vec2 range = o.centre.y + vec2(-o.reach.y, o.reach.y);
-  return cellsIn(range, float(kTile), view.tiles.y);
+  return cellsIn(range, float(height), rows);
 }
 
-ivec2 tileColumns(Outline o, int row) {
-  float top = float(kTile * row) + 0.5;
-  return cellsIn(across(o, top, top + float(kTile - 1)), float(kTile), view.tiles.x);
+ivec2 columnsOf(Outline o, int row, ivec2 size, int columns) {
+  float top = float(size.y * row) + 0.5;
+  return cellsIn(across(o, top, top + float(size.y - 1)), float(size.x), columns);
 }
+
+ivec2 tileRows(Outline o) { return rowsOf(o, kTile, view.tiles.y); }
+ivec2 tileColumns(Outline o, int row) { return columnsOf(o, row, ivec2(kTile), view.tiles.x); }
 
 // The rectangle of tiles around a splat in a word: its first column, first row, width and height. 0 if no
 // tile is in it; kLargeBox if a number has too many bits.
@@ -85,5 +96,18 @@ ivec2 boxColumns(uint box) { return int(box & 1023u) + ivec2(0, int(box >> 20 & 
 
 ivec2 boxRows(uint box) { return int(box >> 10 & 1023u) + ivec2(0, int(box >> 26)); }
 
-// A splat touches all tiles of a box of one row or one column.
-bool fillsItsBox(uint box) { return (box >> 20 & 63u) == 1u || box >> 26 == 1u; }
+// What splats are listed with: a macro tile, and what of it is in the splat's box, as columns and rows of tiles.
+// Lists are sorted by the lowest 16 bits, the number of the macro tile.
+uint macroKey(uint box, ivec2 macro) {
+  ivec2 first = kMacro * macro;
+  ivec2 columns = clamp(boxColumns(box) - first.x, 0, kMacro.x), rows = clamp(boxRows(box) - first.y, 0, kMacro.y);
+  // A splat touches all tiles of one row or one column.
+  bool exact = (box >> 20 & 63u) == 1u || box >> 26 == 1u;
+  return uint(macro.y * macroTiles().x + macro.x) | uint(columns.x) << 16 | uint(columns.y) << 20 |
+         uint(rows.x) << 24 | uint(rows.y) << 27 | uint(exact) << 31;
+}
+
+uint keyMacro(uint key) { return key & 0xffffu; }
+ivec2 keyColumns(uint key) { return ivec2(key >> 16 & 15u, key >> 20 & 15u); }
+ivec2 keyRows(uint key) { return ivec2(key >> 24 & 7u, key >> 27 & 7u); }
+bool keyIsExact(uint key) { return key >> 31 != 0u; }

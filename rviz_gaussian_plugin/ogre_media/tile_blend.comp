@@ -2,8 +2,8 @@
 // tile's list is cut into segments, a work group blends one of these.
 
 layout(local_size_x = 256) in;
-layout(std430) readonly buffer Splats { uint splat_of[]; };
-layout(std430) readonly buffer Begins { uint begins[]; };
+layout(std430) readonly buffer Listed { uint listed[]; };
+layout(std430) readonly buffer Lists { TileList lists[]; };
 layout(binding = 0) uniform sampler2D scene_depth;
 layout(binding = 0) writeonly uniform image2D blended;
 #ifdef BEHIND
@@ -150,23 +150,21 @@ void main() {
   uint local = gl_LocalInvocationIndex;
   uint number = workGroup();
 #ifndef BEHIND
-  uint cut = 0u, segment = number;
-  if (later) {
-    cut = segments.words[ownerOf(segment)];
-    number = segments.words[tileOf(cut)];
-  }
+  uint segment = number;
+  if (later) number = segments.tiles[segment];
 #endif
   if (number >= uint(view.tiles.x * view.tiles.y)) return;
   ivec2 tile = tileAt(number);
-  uint begin = begins[number], end = begins[number + 1u];
+  TileList list = lists[number];
+  uint begin = list.begin, end = list.end;
 #ifndef BEHIND
-  bool is_cut = laterSegments(end - begin) > 0u;
   if (later) {
-    begin += first_segment + later_segment * (segment - segments.words[laterOf(cut)]);
-    end = min(end, begin + later_segment);
-  } else if (is_cut) {
-    cut = segments.words[cutOf(number)];
-    end = begin + first_segment;
+    if (segment == list.first_segment) return;
+    begin += kFirstSegment + kLaterSegment * (segment - list.first_segment - 1u);
+    end = min(end, begin + kLaterSegment);
+  } else if (list.first_segment != kNone) {
+    segment = list.first_segment;
+    end = begin + kFirstSegment;
   }
 #endif
   if (local == 0u) {
@@ -194,7 +192,7 @@ void main() {
   b.done = !inside;
 #ifndef BEHIND
   if (later) {
-    float first = first_partials[256u * cut + local].a;
+    float first = partials[256u * list.first_segment + local].a;
     b.least_transmittance /= first;
     b.done = b.done || first < kTransparentInTiles;
   }
@@ -210,7 +208,7 @@ void main() {
     barrier();
     if (finished == 256u) break;
     if (local < kBatch && first + local < end) {
-      uint splat = splat_of[first + local];
+      uint splat = listed[first + local];
       Ellipse e = ellipse(splat);
       keepForm(local, e, tile);
 #ifdef SHARES
@@ -234,15 +232,10 @@ void main() {
   imageStore(blended_behind, texel, vec4(b.colour_behind, 1.0 - b.transmittance_behind));
   imageStore(nearness_behind, texel, vec4(b.nearness, 1.0 - b.transmittance_behind, 0.0, 0.0));
 #else
-  if (!is_cut) {
+  if (list.first_segment == kNone) {
     if (inside) imageStore(blended, texel, vec4(b.colour, 1.0 - b.transmittance));
     return;
   }
-  vec4 partial = vec4(b.colour, b.transmittance);
-  if (later) {
-    later_partials[256u * segment + local] = partial;
-  } else {
-    first_partials[256u * cut + local] = partial;
-  }
+  partials[256u * segment + local] = vec4(b.colour, b.transmittance);
 #endif
 }

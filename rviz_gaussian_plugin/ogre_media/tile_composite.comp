@@ -1,19 +1,20 @@
-// Lays the segments of cut tiles over each other, nearest first.
+// Lays the segments of tiles that are cut over each other, nearest first.
 
 layout(local_size_x = 256) in;
-layout(std430) readonly buffer Begins { uint begins[]; };
+layout(std430) readonly buffer Lists { TileList lists[]; };
 layout(binding = 0) writeonly uniform image2D blended;
 
 void main() {
-  uint cut = workGroup(), local = gl_LocalInvocationIndex;
-  uint tile = segments.words[tileOf(cut)], later = segments.words[laterOf(cut)];
-  uint count = laterSegments(begins[tile + 1u] - begins[tile]);
+  uint segment = workGroup(), local = gl_LocalInvocationIndex, tile = segments.tiles[segment];
+  TileList list = lists[tile];
+  if (list.first_segment != segment) return;
+  uint later = laterSegments(list.end - list.begin);
   ivec2 pixel = tileAt(tile) * kTile + pixelInTile(local);
-  vec4 first = first_partials[256u * cut + local];
+  vec4 first = partials[256u * segment + local];
   vec3 colour = first.rgb;
   float transmittance = first.a;
-  for (uint n = 0u; n < count && transmittance >= kTransparentInTiles; ++n) {
-    vec4 partial = later_partials[256u * (later + n) + local];
+  for (uint n = 1u; n <= later && transmittance >= kTransparentInTiles; ++n) {
+    vec4 partial = partials[256u * (segment + n) + local];
     colour += transmittance * partial.rgb;
     transmittance *= partial.a;
   }

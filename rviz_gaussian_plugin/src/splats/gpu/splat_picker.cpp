@@ -27,7 +27,7 @@ void SplatPicker::pick(const OrderedSplats& splats, const TileRasterizer* lists,
   pick_.set("words", static_cast<GLuint>(splats.projection().slotWords()));
   pick_.set("listed", int(lists != nullptr));
   pick_.bind("Splats", lists ? lists->splats() : splats.drawn());
-  if (lists) pick_.bind("Begins", lists->begins());
+  if (lists) pick_.bind("Lists", lists->lists());
   pick_.bind("Picked", picked_);
   pick_.bind("Length", splats.tally().words());
   glActiveTexture(GL_TEXTURE0);

@@ -72,7 +72,16 @@ class Tally {
 // The counts of a view, side by side, so that one copy brings all of them to the CPU.
 class Tallies {
  public:
-  enum Of : std::size_t { kVisible, kPairs, kSlotWords, kOrder, kDepthRange, kZero, kCount };
+  enum Of : std::size_t {
+    kVisible,
+    kMacroPairs,
+    kLists,  // pairs of a splat and a tile, then segments; as tile_touch.comp has them
+    kSlotWords,
+    kOrder,
+    kDepthRange,
+    kZero,
+    kCount
+  };
 
   Tallies() : words_(kCount * gl::Slice::kAlignment, GL_DYNAMIC_COPY), copy_(kCount * kStride) {}
 

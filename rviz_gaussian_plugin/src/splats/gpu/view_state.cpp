@@ -31,13 +31,16 @@ bool ViewState::list(const Frame& frame) {
   if (tiles_.listed(width, height)) return true;
   if (!tiles_.count(splats_, width, height)) return false;
   frame.stopwatch.lap("list");
-  ask();
   // After a refusal, waiting for the count costs less than listing in vain again.
-  if (tiles_.refused() && !tiles_.checkRoom(tallies_.wait(Tallies::kPairs, Tally::kWanted), 1)) {
-    if (tiles_.refused() || !tiles_.count(splats_, width, height)) return false;
+  if (tiles_.refused()) {
     ask();
+    if (!tiles_.checkRoom(tallies_.wait(Tallies::kMacroPairs, Tally::kWanted), 1) &&
+        (tiles_.refused() || !tiles_.count(splats_, width, height))) {
+      return false;
+    }
   }
   tiles_.list(splats_, frame.stopwatch);
+  ask();
   listed_ = true;
   return true;
 }
@@ -78,8 +81,11 @@ bool ViewState::hasRoom(const Frame& frame) {
       std::clamp(double(expected) / double(std::max<std::size_t>(1, capacity)), 1.0, 4.0);
   bool enough = splats_.checkRoom(most, growth);
   if (listed_) {
-    const std::size_t pairs = tallies_.wait(Tallies::kPairs, Tally::kWanted);
-    enough = tiles_.checkRoom(pairs, growth) && enough;
+    enough =
+        tiles_.checkRoom(tallies_.wait(Tallies::kMacroPairs, Tally::kWanted), growth) && enough;
+    enough = tiles_.checkLists(tallies_.wait(Tallies::kLists, 0), tallies_.wait(Tallies::kLists, 1),
+                               growth) &&
+             enough;
   }
   listed_ = false;
   return enough;
