@@ -117,7 +117,8 @@ def test_a_bag_is_played_paused_looped_and_sought_in(tmp_path: Path, remote: Wor
         rviz.processes.node("rosplat_sorter", "sorter", *SIMULATED_TIME)
         play = ["ros2", "bag", "play", str(tmp_path / "bag"), *qos()]
         rviz.processes.start(
-            "player", [*play, "--clock", "50", "--loop", "--disable-keyboard-controls"]
+            "player",
+            [*play, "--clock", "50", "--rate", "0.5", "--loop", "--disable-keyboard-controls"],
         )
         for _ in range(2):
             rviz.until(lambda s: seen(s) == (True, False))
@@ -130,10 +131,10 @@ def test_a_bag_is_played_paused_looped_and_sought_in(tmp_path: Path, remote: Wor
         command(Pause, "pause")
         rviz.until_still()
         rviz.until_status("Map", "Transform", "Ok")
-        command(SetRate, "set_rate", rate=0.1)  # or a slow machine misses what comes next
         command(Resume, "resume")
 
         rviz.until(lambda s: seen(s) == (False, True))
+        command(SetRate, "set_rate", rate=0.1)  # or a slow machine misses what comes next
         to = begin + 10**9
         command(Seek, "seek", time=Time(sec=to // 10**9, nanosec=to % 10**9))
         # From the middle, what was before is not played: the map lacks it until it begins again.

@@ -3,7 +3,8 @@
 layout(local_size_x = 256) in;
 layout(std430) writeonly buffer Begins { uint begins[]; };      // of each macro tile's list
 layout(std430) writeonly buffer Touching { uint touching[]; };
-layout(std430) writeonly buffer Places { uint places[]; };      // splats of a block that touch each tile
+// How many splats of a block touch each tile. Where there are several macro tiles, tile_places.comp counts again.
+layout(std430) writeonly buffer Places { uint places[]; };
 layout(std430) writeonly buffer Wanted { uint wanted_splats, wanted_segments; };
 
 // The masks of a block's splats, four in a word; rows of 32 splats begin in different banks of the memory.
