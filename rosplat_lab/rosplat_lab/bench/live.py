@@ -144,6 +144,14 @@ def for_seconds(seconds: float) -> Callable[[Watched], bool]:
     return _after(is_answered, seconds)
 
 
+def until_ordered() -> Callable[[Watched], bool]:
+    """`until`: a sorter's order of a complete map has come; raises TimeoutError if none does.
+
+    Without a graphics card, a viewer has fresh orders of its own before it has found a sorter.
+    """
+    return _after(lambda frame: bool(frame["complete"] and frame["arrivals"]), 0.0)
+
+
 def is_settled(frame: Frame) -> bool:
     """Whether the frame shows a complete map by an order of all of it."""
     known = (arrival["revision"] >= frame["revision"] for arrival in frame["arrivals"])

@@ -52,7 +52,7 @@ def measure(plan: Plan) -> Iterator[Event]:
 def _report(
     plan: Plan, line: Line, size: int, backend: str, transport: str, rate: float
 ) -> Iterator[Event]:
-    begun = live.for_seconds(0.0)
+    begun = live.until_ordered()
     marks: list[tuple[float, int]] = []  # times, and bytes that had come to the viewer
 
     def watched(seen: live.Watched) -> bool:
