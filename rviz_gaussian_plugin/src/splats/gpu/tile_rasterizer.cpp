@@ -22,13 +22,13 @@ constexpr std::size_t kGroupWords = 3;        // of tile_segments.glsl, before `
 constexpr std::size_t kFewSegments = 16;      // there is room for these, even if none is needed
 constexpr std::size_t kMostSegments = 65535;  // every driver dispatches as many in one dimension
 
-// Return how many pairs of a splat and a macro tile, or a tile, may be listed. All take 1.5 GiB.
+// Return how many pairs of a splat and a macro tile, or a tile, may be listed. All take 2 GiB.
 std::size_t mostMacroPairs() {
   return std::min(std::size_t{1} << 26, gl::largestStorageBuffer() / (2 * sizeof(GLuint)));
 }
 
 std::size_t mostPairs() {
-  return std::min(std::size_t{1} << 27, gl::largestStorageBuffer() / sizeof(GLuint));
+  return std::min(std::size_t{1} << 28, gl::largestStorageBuffer() / sizeof(GLuint));
 }
 
 std::size_t mostSegments() {
