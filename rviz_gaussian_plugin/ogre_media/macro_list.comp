@@ -5,8 +5,8 @@ layout(std430) readonly buffer Drawn { uint drawn[]; };
 layout(std430) readonly buffer OrderedBoxes { uint ordered_boxes[]; };
 layout(std430) readonly buffer Firsts { uint firsts[]; };  // prefix sum of macro_count.comp's counts
 layout(std430) readonly buffer Length { Tally drawn_tally; };
-layout(std430) readonly buffer Listed { Tally listed; };
-layout(std430) writeonly buffer Tiles { uint tile_of[]; };  // as macroKey() has it
+layout(std430) readonly buffer MacroPairs { Tally macro_pairs; };
+layout(std430) writeonly buffer Keys { uint keys[]; };  // macroKey()s
 layout(std430) writeonly buffer Splats { uint splat_of[]; };
 
 // Splats on more macro tiles than this are listed by 32 lanes, which find a row each, then list row by row.
@@ -20,8 +20,8 @@ shared uint large[256], large_next[256];
 shared int begins_of[kParts][32], ends_of[kParts][32];  // columns of rows
 
 void write(uint to, uint splat, uint box, ivec2 macro) {
-  if (to >= listed.count) return;
-  tile_of[to] = macroKey(box, macro);
+  if (to >= macro_pairs.count) return;
+  keys[to] = macroKey(box, macro);
   splat_of[to] = splat;
 }
 

@@ -16,10 +16,10 @@ shared uint words[kBlockSplats], to[kMacroTiles];  // of a macro tile
 void main() {
   uint block = workGroup(), local = gl_LocalInvocationIndex, i = kBlockSplats * block + local;
   uint part = local / 32u, lane = local % 32u, earlier = (1u << lane) - 1u;
-  uint last = min(kBlockSplats * (block + 1u), macro_pairs.count) - 1u, last_macro = keyMacro(tile_of[last]);
+  uint last = min(kBlockSplats * (block + 1u), macro_pairs.count) - 1u, last_macro = keyMacro(keys[last]);
   if (i <= last) splats[local] = splat_of[i];
   uint touches = touching[i];
-  for (uint macro = keyMacro(tile_of[kBlockSplats * block]); macro <= last_macro; ++macro) {
+  for (uint macro = keyMacro(keys[kBlockSplats * block]); macro <= last_macro; ++macro) {
     uint begin = begins[macro], end = begins[macro + 1u];
     if (begin == end) continue;
     words[local] = touches & bitsOf(block, local % kBlockWords, begin, end);

@@ -39,8 +39,8 @@ void main() {
   }
   uint mask = 0u;
   if (i < count) {
-    uint key = tile_of[i], macro = keyMacro(key);
-    for (uint next = i > 0u ? keyMacro(tile_of[i - 1u]) + 1u : 0u; next <= macro; ++next) begins[next] = i;
+    uint key = keys[i], macro = keyMacro(key);
+    for (uint next = i > 0u ? keyMacro(keys[i - 1u]) + 1u : 0u; next <= macro; ++next) begins[next] = i;
     for (uint next = macro + 1u; i + 1u == count && next <= macros; ++next) begins[next] = count;
     mask = tilesTouched(key, splat_of[i], kMacro * ivec2(int(macro % columns), int(macro / columns)));
   }
@@ -55,5 +55,5 @@ void main() {
   touching[kBlockSplats * block + local] = bits;
   atomicAdd(counts[tile], uint(bitCount(bits)));
   barrier();
-  if (local < kMacroTiles) places[placeAt(block, keyMacro(tile_of[kBlockSplats * block]), local)] = counts[local];
+  if (local < kMacroTiles) places[placeAt(block, keyMacro(keys[kBlockSplats * block]), local)] = counts[local];
 }

@@ -2,9 +2,9 @@
 // 256 splats. Each of the 32 tiles of a macro tile has 8 words of bits in a block, for the splats of all macro tiles
 // that have some there.
 
-layout(std430) readonly buffer Tiles { uint tile_of[]; };    // as macroKey() has it, in order
+layout(std430) readonly buffer Keys { uint keys[]; };        // macroKey()s, sorted by macro tile
 layout(std430) readonly buffer Splats { uint splat_of[]; };  // nearest first
-layout(std430) readonly buffer Length { Tally macro_pairs; };
+layout(std430) readonly buffer MacroPairs { Tally macro_pairs; };
 
 const uint kBlockSplats = 256u, kBlockWords = 8u, kMacroTiles = uint(kMacro.x * kMacro.y);
 

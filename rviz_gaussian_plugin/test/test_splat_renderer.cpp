@@ -482,8 +482,8 @@ TEST_F(SplatRendererTest, BlendsLongListsInSegments) {
 }
 
 TEST_F(SplatRendererTest, ListsSplatsByMacroTiles) {
-  // 36 of these, the left ones empty; 4,000 splats, of which 100 are needles across some, and one
-  // covers more tiles than a box has bits for.
+  // 36 of these, of which the left ones have one row of tiles alone: of 4,000 splats, one is across
+  // more tiles than a box has bits for, and 100 are needles across some.
   constexpr int kWidth = 1100, kHeight = 200;
   SplatCamera wide = makeCamera({0, 0, 0}, {0, 0, 0, 1}, false, 200, 200, 0.5 * kWidth,
                                 0.5 * kHeight, kWidth, kHeight, 0.1, 100);
@@ -492,19 +492,15 @@ TEST_F(SplatRendererTest, ListsSplatsByMacroTiles) {
   OwnedBatch batch(1, GaussianBatch::REPLACE);
   std::minstd_rand random;
   const auto part = [&] { return float(random() % 4096) / 4096; };
-  for (int i = 0; i < 4000; ++i) {
-    const bool needle = i % 40 == 0, cover = i == 1;
-    const float z = cover ? 20 : 5 + 10 * part(), right = z * (3 * part() - 0.8f);
-    batch.add({cover ? 0 : right, z * (part() - 0.5f), z},
-              {cover    ? 40.0f
-               : needle ? 1.5f
-                        : 0.04f,
-               cover ? 40.0f : 0.03f, 0.02f},
-              0.5f, {4 * part() - 2, 4 * part() - 2, 4 * part() - 2});
-    if (needle)
-      std::copy_n(std::array{0.0f, 0.0f, 0.38f, 0.92f}.data(), 4,
-                  &batch.orientation[4 * std::size_t(i)]);
+  for (int i = 0; i < 3999; ++i) {
+    const float z = 5 + 10 * part(), right = z * (3 * part() - 0.8f);
+    const float length = i % 40 == 0 ? 1.5f : 0.04f;
+    batch.add({right, z * (part() - 0.5f), z}, {length, 0.03f, 0.02f}, 0.5f,
+              {4 * part() - 2, 4 * part() - 2, 4 * part() - 2});
+    const std::array<float, 4> turned{0, 0, 0.38f, 0.92f};
+    if (i % 40 == 0) std::copy(turned.begin(), turned.end(), batch.orientation.end() - 4);
   }
+  batch.add({0, 0, 20}, {40, 0.1f, 0.1f}, 0.5f, {1, 1, 1});
   SplatScene scene(shaders());
   scene.apply(batch.look());
   std::vector<std::vector<float>> pictures;
@@ -726,6 +722,38 @@ TEST_F(SplatRendererTest, ListsTakeTheMemoryThatTheyNeedOfLate) {
   epoxy_glBufferData = reinterpret_cast<PFNGLBUFFERDATAPROC>(eglGetProcAddress("glBufferData"));
   for (int frame = 0; frame < kPatience; ++frame) drawFrom(50);
   EXPECT_EQ(drawFrom(0), "tiles");
+}
+
+// What finds no memory in one view doesn't keep tiles from another.
+TEST_F(SplatRendererTest, DrawsTilesWhereSegmentsWouldFindNoMemory) {
+  constexpr int kPatience = 64;
+  Splats splats;
+  for (int i = 0; i < 40000; ++i)
+    splats.splats.add({0, 0, 5}, {0.1f, 0.1f, 0.1f}, 0.01f, {1, 1, 1});
+  splats.add({20, 0, 5}, {1, 0, 0});
+  SplatScene scene(shaders());
+  scene.apply(splats.batch(1, {}));
+  std::uint64_t sequence = 0;
+  const auto drawFrom = [&](double x) {
+    RenderSettings settings;
+    settings.rasterizer = Rasterizer::kTiles;
+    settings.order = OrderSource::kGpu;
+    SplatCamera moved = camera();
+    moved.translation[0] = -x + 1e-6 * double(sequence);
+    scene.setCamera("view", ++sequence, moved);
+    return scene.draw("view", settings, Canvas::kNone).rasterizer;
+  };
+  EXPECT_EQ(drawFrom(20), "tiles");
+  // Of what a frame asks for, segments alone take a multiple of 4 KiB.
+  epoxy_glBufferData = [](GLenum target, GLsizeiptr bytes, const void* data, GLenum usage) {
+    const bool segments = bytes % 4096 == 0 && bytes > 65536;
+    reinterpret_cast<PFNGLBUFFERDATAPROC>(eglGetProcAddress("glBufferData"))(
+        target, segments ? -1 : bytes, data, usage);
+  };
+  EXPECT_EQ(drawFrom(0), "quads");
+  for (int frame = 0; frame < kPatience; ++frame) drawFrom(20);
+  EXPECT_EQ(drawFrom(20), "tiles");
+  epoxy_glBufferData = reinterpret_cast<PFNGLBUFFERDATAPROC>(eglGetProcAddress("glBufferData"));
 }
 
 // Of a splat in view: ellipse, box and place in the order; of its pair with a macro tile: key and

@@ -114,8 +114,9 @@ bool TileRasterizer::count(const OrderedSplats& splats, int width, int height) {
     most_macro_pairs_ = macro_room_ / 2;
     patience_ = kPatience;
     refused_ = true;
-    listed_splats_.release();
+    for (gl::Buffer* buffer : {&listed_splats_, &partials_}) buffer->release();
     macro_room_ = room_ = 0;
+    segments_room_ = kFewSegments;
     return false;
   }
   count_.use();
@@ -161,8 +162,8 @@ void TileRasterizer::list(const OrderedSplats& splats, gl::Stopwatch& stopwatch)
   list_macros_.bind("OrderedBoxes", sort_.spareKeys());
   list_macros_.bind("Firsts", counts_);
   list_macros_.bind("Length", splats.tally().words());
-  list_macros_.bind("Listed", macro_pair_count_.words());
-  list_macros_.bind("Tiles", sort_.keys());
+  list_macros_.bind("MacroPairs", macro_pair_count_.words());
+  list_macros_.bind("Keys", sort_.keys());
   list_macros_.bind("Splats", sort_.values(bits, splats_));
   splats.tally().dispatchGroups();
   gl::storageBarrier();
@@ -196,9 +197,9 @@ void TileRasterizer::list(const OrderedSplats& splats, gl::Stopwatch& stopwatch)
 }
 
 void TileRasterizer::bindTouching(const gl::Program& program) const {
-  program.bind("Tiles", sort_.keys());
+  program.bind("Keys", sort_.keys());
   program.bind("Splats", splats_);
-  program.bind("Length", macro_pair_count_.words());
+  program.bind("MacroPairs", macro_pair_count_.words());
   program.bind("Begins", begins_);
   program.bind("Touching", sort_.spareKeys());  // a word a splat: free, since the lists are sorted
   program.bind("Places", places_);
