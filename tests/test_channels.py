@@ -25,7 +25,6 @@ SH_C0 = 0.28209479177387814
 SCENES = {
     "scene by the processor": Rasterizer.PROCESSOR,
     "tiles": Rasterizer.TILES,
-    "quads": Rasterizer.QUADS,
 }
 
 

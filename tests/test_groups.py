@@ -57,7 +57,7 @@ def placed(splats: Splats, at: Pose) -> Splats:
     return splats.moved(frame_at(*pose_values(at)))
 
 
-@pytest.fixture(params=["processor", "levels", "tiles", "quads", "built-in order"])
+@pytest.fixture(params=["processor", "levels", "tiles", "built-in order"])
 def target(request: pytest.FixtureRequest) -> Iterator[Target]:
     """The ways on which a map comes into a picture."""
     if request.param in ("processor", "levels"):
@@ -68,7 +68,7 @@ def target(request: pytest.FixtureRequest) -> Iterator[Target]:
     opengl: Target = request.getfixturevalue("opengl")
     settings = opengl.renderer.settings
     settings.float_blending = True
-    settings.rasterizer = Rasterizer.TILES if request.param == "tiles" else Rasterizer.QUADS
+    settings.rasterizer = Rasterizer.TILES
     settings.order = OrderSource.BUILT_IN if request.param == "built-in order" else OrderSource.AUTO
     yield opengl
     settings.order = OrderSource.AUTO

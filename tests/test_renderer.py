@@ -102,12 +102,13 @@ def host(display: str) -> Iterator[Host]:
     del host.renderer
 
 
-@pytest.fixture(autouse=True, params=["quads", "tiles", "processor"])
+@pytest.fixture(autouse=True, params=["tiles", "tiles in a given order", "processor"])
 def default_settings(host: Host, request: pytest.FixtureRequest) -> Iterator[None]:
-    """Everything holds for both ways to blend, whoever sorts."""
+    """Everything holds on the card and on the processor, whoever sorts."""
     host.renderer.settings = RenderSettings()
-    host.set(rasterizer=getattr(Rasterizer, request.param.upper()))
-    host.set(order=OrderSource.BUILT_IN if request.param == "quads" else OrderSource.GPU)
+    processor, given = request.param == "processor", "given" in request.param
+    host.set(rasterizer=Rasterizer.PROCESSOR if processor else Rasterizer.TILES)
+    host.set(order=OrderSource.BUILT_IN if given else OrderSource.AUTO)
     yield
     assert not host.renderer.failed(), "OpenGL reported an error"
     assert host.renderer.warning == ""  # such as a sort that the driver gets wrong
@@ -393,7 +394,7 @@ def test_the_gpu_finds_the_order_of_the_sorters(host: Host) -> None:
     host.show(splats)
     along_x = camera_at((3.0, 0.0, 0.0))
     for camera in (along_x, *CAMERAS.values()):
-        host.set(order=OrderSource.GPU)
+        host.set(order=OrderSource.AUTO)
         picture = host.draw(camera)
         host.set(order=OrderSource.BUILT_IN)
         np.testing.assert_array_equal(picture, host.draw(camera))
@@ -735,18 +736,14 @@ def test_unsorted_and_built_in_orders_can_be_chosen(host: Host) -> None:
 
 
 def test_who_sorts_itself_wants_no_orders(host: Host) -> None:
-    given = host.renderer.settings.rasterizer != Rasterizer.PROCESSOR
-    software = "llvmpipe" in host.renderer.renderer_info
-    wants = {OrderSource.AUTO: given and software, OrderSource.SIDECAR: True}
     for source in OrderSource.__members__.values():
         host.set(order=source)
-        assert host.renderer.wants_orders() == wants.get(source, False)
+        assert host.renderer.wants_orders() == (source == OrderSource.SIDECAR)
 
 
 def test_what_is_sorted_now_is_sorted_where_that_takes_least(host: Host) -> None:
-    """By what rasterises, if that is no slower, unless another is named."""
-    best = "built-in" if "llvmpipe" in host.renderer.renderer_info else "gpu"
-    named = {OrderSource.BUILT_IN: "built-in", OrderSource.GPU: "gpu", OrderSource.OFF: "nobody"}
+    """By what rasterises, unless another is named."""
+    best, named = "gpu", {OrderSource.BUILT_IN: "built-in", OrderSource.OFF: "nobody"}
     if host.renderer.settings.rasterizer == Rasterizer.PROCESSOR:
         best, named = "processor", {OrderSource.OFF: "nobody"}
     splats = cloud(300)

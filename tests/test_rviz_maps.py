@@ -30,7 +30,7 @@ pytestmark = needs_rviz
 # How displays have that draw which the Status names.
 BY: dict[str, dict[str, object]] = {
     "processor": {"Rasterizer": "Processor"},
-    "gpu": {"Rasterizer": "Tiles", "Order Source": "GPU"},
+    "gpu": {"Rasterizer": "Tiles", "Order Source": "Auto"},
 }
 
 

@@ -290,7 +290,7 @@ def test_a_display_that_sorts_itself_asks_no_sidecar(rviz: Rviz, world: World) -
     poses: list[PoseStamped] = []
     world.node.create_subscription(PoseStamped, "gaussians/camera/pose", poses.append, 10)
     world.place()
-    itself = {"Order Source": "GPU", "Publish Camera": True}
+    itself = {"Order Source": "Auto", "Publish Camera": True}
     rviz.load(configuration(map_display(**itself), view=FLY))
     world.map.replace(cloud())
     rviz.until_status("Map", "Order", "Ok", "by processor", "fresh")

@@ -222,12 +222,10 @@ class OrderSource:
     SIDECAR: ClassVar[OrderSource]
     BUILT_IN: ClassVar[OrderSource]
     OFF: ClassVar[OrderSource]
-    GPU: ClassVar[OrderSource]
 
 class Rasterizer:
     __members__: ClassVar[dict[str, Rasterizer]]
     AUTO: ClassVar[Rasterizer]
-    QUADS: ClassVar[Rasterizer]
     TILES: ClassVar[Rasterizer]
     PROCESSOR: ClassVar[Rasterizer]
 

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from rosplat_core.view import SortView
 
-# The renderer's quads end here, in standard deviations: exp(-3.33²/2) < 1/255.
+# No splat is seen beyond this, in standard deviations: exp(-3.33²/2) < 1/255.
 CUTOFF_SIGMAS = np.float32(3.33)
 LEAST_ALPHA = np.float32(1 / 255)
 INVISIBLE = np.float32(-1)

@@ -1,4 +1,4 @@
-// The macro tiles that a splat touches. It is listed with each of them.
+// The macro tiles of the region that a splat touches. It is listed with each of them.
 
 const uint kListed = 32u;  // splats whose macro tiles are counted together
 
@@ -22,14 +22,17 @@ Touched touchedBy(uint index, uint box) {
     t.all = true;
     t.rows = ivec2(0);
   }
-  if (t.all) return t;
-  t.outline = outlineOf(ellipse(index));
-  t.rows = rowsOf(t.outline, kTile * kMacro.y, macroTiles().y);
+  if (!t.all) {
+    t.outline = outlineOf(ellipse(index));
+    t.rows = rowsOf(t.outline, kTile * kMacro.y, macroTiles().y);
+  }
+  t.rows = clamp(t.rows, region.y, region.w);
   return t;
 }
 
 ivec2 columnsIn(Touched t, int row) {
-  return t.all ? t.columns : columnsOf(t.outline, row, kTile * kMacro, macroTiles().x);
+  ivec2 columns = t.all ? t.columns : columnsOf(t.outline, row, kTile * kMacro, macroTiles().x);
+  return clamp(columns, region.x, region.z);
 }
 
 uint countOf(Touched t) {

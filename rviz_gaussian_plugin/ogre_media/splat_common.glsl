@@ -14,13 +14,12 @@ uint invocation() { return workGroup() * 256u + gl_LocalInvocationIndex; }
 
 const uint kBlock = 4096u;     // values that a work group sums up or sorts
 
-// A count that the CPU does not wait for, with the sizes of dispatches and draws; tally.hpp has the same.
+// A count that the CPU does not wait for, with the sizes of dispatches; tally.hpp has the same.
 struct Tally {
   uint count;      // no more than there is room for
   uint wanted;     // what the count would be with room for all
   uint groups[3];  // to dispatch: 256 a work group
   uint blocks[3];  // the same for kBlock a work group, one at least
-  uint quads[4];   // to draw: the count as instances
 };
 
 Tally tallied(uint wanted, uint room) {
@@ -29,7 +28,7 @@ Tally tallied(uint wanted, uint room) {
   uvec2 rows = (groups + 65534u) / 65535u;
   uvec2 columns = (groups + max(rows, 1u) - 1u) / max(rows, 1u);
   return Tally(count, wanted, uint[3](columns.x, max(rows.x, 1u), 1u),
-               uint[3](columns.y, rows.y, 1u), uint[4](4u, count, 0u, 0u));
+               uint[3](columns.y, rows.y, 1u));
 }
 
 // What a splat is blended as.

@@ -2,14 +2,12 @@
 // transmittance of the splats before it. A work group walks a tile's splats front to back, a batch at a time.
 
 layout(local_size_x = 16, local_size_y = 16) in;
-layout(std430) readonly buffer Splats { uint splats[]; };     // nearest first
-layout(std430) writeonly buffer Picked { uint picked[]; };   // as page_table.hpp numbers slots, or kNone
-layout(std430) readonly buffer Length { Tally drawn_tally; };
-layout(std430) readonly buffer Lists { TileList lists[]; };  // in `splats`
+layout(std430) readonly buffer Listed { uint listed[]; };
+layout(std430) readonly buffer Lists { TileList lists[]; };
+layout(std430) writeonly buffer Picked { uint picked[]; };  // as page_table.hpp numbers slots, or kNone
 layout(binding = 0) uniform sampler2D scene_depth;
 
-uniform bool listed;     // the splats are listed by tiles; else they are all that is drawn
-uniform uint words;      // how many `visible` has
+uniform uint words;  // how many `visible` has
 
 const uint kBatch = 256u;
 
@@ -23,11 +21,8 @@ float pixelAlpha(uint k, vec2 pixel) {
 }
 
 void take(uint k, uint index) {
-  indices[k] = index;
-  places[k] = vec4(0.0, 0.0, -1.0, 0.0);  // a depth that is skipped
-  if (index == kNone) return;
   Ellipse e = ellipse(index);
-  if (e.opacity == 0.0) return;
+  indices[k] = index;
   places[k] = vec4(e.centre, windowDepth(e.depth), peakOf(e));
   axes[k] = falloffAxes(e);
 }
@@ -43,20 +38,15 @@ void main() {
   float transmittance = inside ? 1.0 : 0.0, most = kLeastPicked;
   uint winner = kNone;
 
-  uint first = 0u, end = drawn_tally.count;
-  if (listed) {
-    TileList list = lists[tile.y * view.tiles.x + tile.x];
-    first = list.begin;
-    end = list.end;
-  }
-  for (; first < end; first += kBatch) {
+  TileList list = lists[tileNumber(tile)];
+  for (uint first = list.begin; first < list.end; first += kBatch) {
     if (lane == 0u) searching = 0u;
     barrier();
     if (transmittance > most) atomicAdd(searching, 1u);
-    if (first + lane < end) take(lane, splats[first + lane]);
+    if (first + lane < list.end) take(lane, listed[first + lane]);
     barrier();
     if (searching == 0u) break;
-    uint count = min(kBatch, end - first);
+    uint count = min(kBatch, list.end - first);
     for (uint k = 0u; k < count && transmittance > most; ++k) {
       if (places[k].z > hidden_from || places[k].z < 0.0) continue;
       float alpha = pixelAlpha(k, vec2(pixel) + 0.5);

@@ -5,6 +5,7 @@
 #endif
 
 ivec2 tileAt(uint number) { return ivec2(int(number) % view.tiles.x, int(number) / view.tiles.x); }
+uint tileNumber(ivec2 tile) { return uint(tile.y * view.tiles.x + tile.x); }
 
 const ivec2 kMacro = ivec2(8, 4);  // tiles of a macro tile
 ivec2 macroTiles() { return (view.tiles + kMacro - 1) / kMacro; }
@@ -25,7 +26,15 @@ ivec2 pixelInTile(uint local) {
 }
 
 #ifdef COMPUTE
-ivec2 groupTile() { return tileAt(workGroup()); }  // where each tile has a work group
+// What is listed of the picture: the first column and row of macro tiles, and one past the last.
+uniform ivec4 region;
+
+// The tile of a work group, where each tile of the region has one. Further work groups get none of the picture.
+ivec2 groupTile() {
+  ivec2 first = region.xy * kMacro, size = min(region.zw * kMacro, view.tiles) - first;
+  int group = int(workGroup());
+  return group < size.x * size.y ? first + ivec2(group % size.x, group / size.x) : view.tiles;
+}
 #endif
 
 // A splat's 1/255 ellipse, as rows of the picture cut it.

@@ -11,7 +11,7 @@ layout(binding = 1) uniform sampler2D behind_depth;
 layout(binding = 1) writeonly uniform image2D blended_behind;
 layout(binding = 2) writeonly uniform image2D nearness_behind;  // as in splat_hide.frag
 #else
-uniform bool later;  // work groups blend later segments, not tiles or first segments
+uniform bool later;  // work groups blend later segments, not the region's tiles or first segments
 #endif
 
 const uint kBatch = 128u, kWords = kBatch / 32u;
@@ -25,8 +25,8 @@ const float kUnseen = -1e3, kFlat2 = 1e3, kShaded2 = 2e3;
 // A splat, as the pixels of the tile see it: its falloff is exp2(-u^2 - v^2), where
 // u = x * px + y * py + z and v = w * py + rest.x.
 shared vec4 forms[kBatch];
-// x: see `forms`; y: log2 of the peak, or what stands for it; z, w: the colour as half floats. Most pixels
-// read a splat in two loads of 16 bytes: each further load takes a fifth longer.
+// x: see `forms`; y: log2 of the peak, or what stands for it; z, w: packedColour(). Most pixels read a splat in
+// two loads of 16 bytes: each further load takes a fifth longer.
 shared uvec4 rests[kBatch];
 shared float depths[kBatch];  // in the window
 #ifdef SHARES
@@ -36,6 +36,18 @@ shared uint reaching[kParts][kWords];  // a bit for each splat of the batch
 shared uint reached[kParts][kBatch];   // the numbers of these splats in the batch, without gaps
 shared uint finished, depths_matter;
 
+// What is blended of a splat.
+#ifdef DEPTHS
+uvec2 packedColour(Ellipse e) { return uvec2(floatBitsToUint(e.depth), 0u); }
+vec3 unpackedColour(uvec2 words) { return vec3(uintBitsToFloat(words.x), 0.0, 0.0); }
+#else
+uvec2 packedColour(Ellipse e) {
+  vec3 colour = colourOf(e);
+  return uvec2(packHalf2x16(colour.rg), packHalf2x16(vec2(colour.b, 0.0)));
+}
+vec3 unpackedColour(uvec2 words) { return vec3(unpackHalf2x16(words.x), unpackHalf2x16(words.y).x); }
+#endif
+
 // Keeps a splat's form, triangular, so that v depends on the row alone. [1/px]
 void keepForm(uint k, Ellipse e, ivec2 tile) {
   vec4 axes = falloffAxes(e);
@@ -44,10 +56,8 @@ void keepForm(uint k, Ellipse e, ivec2 tile) {
   vec2 centre = e.centre - vec2(tile * kTile);
   float depth = windowDepth(e.depth);
   float peak = e.kind == kFlat ? kFlat2 : e.kind == kShaded ? kShaded2 : log2(e.opacity);
-  vec3 colour = colourOf(e);
   forms[k] = vec4(x, y, -(x * centre.x + y * centre.y), w);
-  rests[k] = uvec4(floatBitsToUint(vec2(-w * centre.y, depth >= 0.0 ? peak : kUnseen)),
-                   packHalf2x16(colour.rg), packHalf2x16(vec2(colour.b, 0.0)));
+  rests[k] = uvec4(floatBitsToUint(vec2(-w * centre.y, depth >= 0.0 ? peak : kUnseen)), packedColour(e));
   depths[k] = depth;
 }
 
@@ -103,12 +113,14 @@ void blendBatch(uint part, uint count, vec2 pixel, bool hides, float hidden_from
       uvec4 rest = rests[k];
       float u = form.x * pixel.x + (form.y * pixel.y + form.z);
       float v = form.w * pixel.y + uintBitsToFloat(rest.x), peak = uintBitsToFloat(rest.y);
-      colours[s] = vec3(unpackHalf2x16(rest.z), unpackHalf2x16(rest.w).x);
+      colours[s] = unpackedColour(rest.zw);
 #ifdef BALLS
       bool ball = peak >= kFlat2;
       float falloff = exp2((ball ? 0.0 : peak) - u * u - v * v);
       float alpha = ball ? float(falloff >= kBallEdge) : min(kMaxAlpha, falloff);
+#ifndef DEPTHS
       if (peak == kShaded2) colours[s] *= falloff;
+#endif
 #else
       float alpha = min(kMaxAlpha, exp2(peak - u * u - v * v));
 #endif
@@ -148,13 +160,13 @@ void blendBatch(uint part, uint count, vec2 pixel, bool hides, float hidden_from
 
 void main() {
   uint local = gl_LocalInvocationIndex;
-  uint number = workGroup();
+  ivec2 tile = groupTile();
 #ifndef BEHIND
-  uint segment = number;
-  if (later) number = segments.tiles[segment];
+  uint segment = workGroup();
+  if (later) tile = tileAt(segments.tiles[segment]);
 #endif
-  if (number >= uint(view.tiles.x * view.tiles.y)) return;
-  ivec2 tile = tileAt(number);
+  if (tile.y >= view.tiles.y) return;
+  uint number = tileNumber(tile);
   TileList list = lists[number];
   uint begin = list.begin, end = list.end;
 #ifndef BEHIND
@@ -212,7 +224,7 @@ void main() {
       Ellipse e = ellipse(splat);
       keepForm(local, e, tile);
 #ifdef SHARES
-      shares_of[local] = shares[splat];
+      shares_of[local] = view.cut ? shares[splat] : 1.0;
 #endif
       mark(local, e, tile);
     }

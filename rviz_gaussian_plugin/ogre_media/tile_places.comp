@@ -78,6 +78,6 @@ void main() {
   ivec2 at = kMacro * ivec2(int(macro) % columns.x, int(macro) / columns.x) +
              ivec2(int(tile) % kMacro.x, int(tile) / kMacro.x);
   if (part > 0u || any(greaterThanEqual(at, view.tiles))) return;
-  uint number = uint(at.y * view.tiles.x + at.x), listed = before + length <= room ? length : 0u;
+  uint number = tileNumber(at), listed = min(before + length, room) - min(before, room);
   lists[number] = TileList(before, before + listed, cut(number, listed));
 }

@@ -13,25 +13,20 @@ void OrderBook::setCamera(const std::string& view_id, std::uint64_t sequence,
   ViewOrders& view = views_[view_id];
   view.sequence = sequence;
   if (!view.cameras.empty() && view.cameras.back().camera == camera) return;
-  const bool answered = view.sidecar && fresh(view, *view.sidecar);
-  if (view.cameras.empty() || answered) view.waiting_since = now;
   view.cameras.push_back({sequence, camera, now});
   if (view.cameras.size() > kRememberedCameras) view.cameras.pop_front();
 }
 
-void OrderBook::mapChanged(const MapState& map, double now) {
+void OrderBook::mapChanged(const MapState& map) {
   // Another map, or the same map played once more: the revisions begin again.
   const bool begins = map.round != map_.round;
   for (auto& [id, view] : views_) {
-    if (view.sidecar && fresh(view, *view.sidecar)) view.waiting_since = now;
-    if (begins) {
-      view.sidecar = view.built_in = view.drawn = nullptr;
-    }
+    if (begins) view.sidecar = view.built_in = view.drawn = nullptr;
   }
   map_ = map;
   ++changes_;
   for (auto& [id, view] : views_) {
-    if (view.early) offer(std::exchange(view.early, nullptr), now);
+    if (view.early) offer(std::exchange(view.early, nullptr));
   }
 }
 
@@ -40,7 +35,7 @@ bool OrderBook::fresh(const ViewOrders& view, const Order& order) const {
          order.revision == map_.revision && order.map_id == map_.id;
 }
 
-bool OrderBook::offer(const OrderPtr& order, double now) {
+bool OrderBook::offer(const OrderPtr& order) {
   const auto found = views_.find(order->view_id);
   if (found == views_.end()) return false;
   ViewOrders& view = found->second;
@@ -54,7 +49,6 @@ bool OrderBook::offer(const OrderPtr& order, double now) {
   if (view.sidecar && fresh(view, *view.sidecar) && !fresh(view, *order)) return false;
   if (order->bound > map_.capacity || order->slots.size() > map_.capacity) return false;
   view.sidecar = order;
-  view.waiting_since = now;
   return true;
 }
 
@@ -82,29 +76,30 @@ void OrderBook::request(const std::string& view_id, ViewOrders& view, const Orde
   view.requested_base = base;
 }
 
-OrderBook::Choice OrderBook::choose(const std::string& view_id, double now, OrderSource source) {
-  ViewOrders& view = views_[view_id];
-  if (view.cameras.empty()) return {};
-  if (OrderPtr sorted = built_in_.take(view_id); sorted && sorted->map_id == map_.id) {
-    view.built_in = std::move(sorted);
-  }
+void OrderBook::takeSorted(const std::string& view_id, ViewOrders& view) {
+  OrderPtr sorted = built_in_.take(view_id);
+  if (sorted && sorted->map_id == map_.id) view.built_in = std::move(sorted);
+}
 
-  const bool sidecar = view.sidecar && source != OrderSource::kBuiltIn;
-  const bool patient = source == OrderSource::kSidecar || now - view.waiting_since < kPatience;
-  if (sidecar && fresh(view, *view.sidecar)) {
+OrderBook::Choice OrderBook::fromSidecar(const std::string& view_id, double now) {
+  ViewOrders& view = views_[view_id];
+  if (view.cameras.empty() || !view.sidecar) return {};
+  takeSorted(view_id, view);
+  if (view.sidecar->revision == map_.revision) {
     view.drawn = view.sidecar;
-  } else if (sidecar && patient) {
-    if (view.sidecar->revision == map_.revision) {
-      view.drawn = view.sidecar;
-    } else {
-      request(view_id, view, view.sidecar);
-      if (view.built_in) view.drawn = view.built_in;
-    }
-  } else if (source != OrderSource::kSidecar) {
-    request(view_id, view, nullptr);
+  } else {
+    request(view_id, view, view.sidecar);
     if (view.built_in) view.drawn = view.built_in;
   }
+  return chosen(view, view.drawn, now);
+}
 
+OrderBook::Choice OrderBook::builtIn(const std::string& view_id, double now) {
+  ViewOrders& view = views_[view_id];
+  if (view.cameras.empty()) return {};
+  takeSorted(view_id, view);
+  request(view_id, view, nullptr);
+  if (view.built_in) view.drawn = view.built_in;
   return chosen(view, view.drawn, now);
 }
 

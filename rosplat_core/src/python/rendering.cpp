@@ -219,11 +219,9 @@ void defineRendering(py::module_& module) {
       .value("AUTO", OrderSource::kAuto)
       .value("SIDECAR", OrderSource::kSidecar)
       .value("BUILT_IN", OrderSource::kBuiltIn)
-      .value("OFF", OrderSource::kOff)
-      .value("GPU", OrderSource::kGpu);
+      .value("OFF", OrderSource::kOff);
   py::enum_<Rasterizer>(module, "Rasterizer")
       .value("AUTO", Rasterizer::kAuto)
-      .value("QUADS", Rasterizer::kQuads)
       .value("TILES", Rasterizer::kTiles)
       .value("PROCESSOR", Rasterizer::kProcessor);
   py::class_<ClipBox>(module, "ClipBox")

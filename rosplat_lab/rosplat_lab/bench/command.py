@@ -213,7 +213,7 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument(
         "--variants", nargs="+", default=[], metavar="NAME",
-        help="of what frame draws: default, quads, tiles, 'float blending', translucent, 'four "
+        help="of what frame draws: default, tiles, 'float blending', translucent, 'four "
         f"maps', or another renderer: {', '.join(RENDERERS)}",
     )  # fmt: skip
     parser.add_argument(

@@ -78,7 +78,7 @@ ORDERS = {
     "sorted in the frame, CPU": Order(live.BUILT_IN, {"order": "BUILT_IN"}, waits=True),
     # The order is that of a camera some frames ago.
     "sorted beside it, CPU": Order(live.BUILT_IN, {"order": "BUILT_IN"}),
-    ON_CARD: Order(live.GPU, {"order": "GPU"}),
+    ON_CARD: Order(live.GPU),
 }
 
 Look = tuple[tuple[int, int], str]

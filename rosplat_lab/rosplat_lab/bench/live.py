@@ -131,7 +131,7 @@ def has_ros() -> bool:
 
 def order_source(backend: str) -> str:
     """The OrderSource by which a viewer draws this backend's orders, and nobody else's."""
-    return {BUILT_IN: "BUILT_IN", GPU: "GPU", PROCESSOR: "AUTO"}.get(backend, "SIDECAR")
+    return {BUILT_IN: "BUILT_IN", GPU: "AUTO", PROCESSOR: "AUTO"}.get(backend, "SIDECAR")
 
 
 def is_answered(frame: Frame) -> bool:

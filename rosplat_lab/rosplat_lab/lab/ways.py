@@ -69,8 +69,6 @@ def ways(splats: Splats, card: bool, quick: bool) -> Iterator[Way]:
         yield Way("Rasterizer: Processor", "rasteriser", {"rasterizer": "PROCESSOR"}, by=DISPLAY)
     else:
         yield Way("Rasterizer: Tiles, by Mesa", "rasteriser", {"rasterizer": "TILES"}, by=DISPLAY)
-    yield Way("quads, where a driver sorts wrongly", "rasteriser", {"rasterizer": "QUADS"},
-              by=DISPLAY)  # fmt: skip
     yield Way("the defaults, in a window of 8 bits", "rasteriser", by=WINDOW)
 
     given = {"order": "SIDECAR", "float_blending": True}

@@ -68,8 +68,6 @@ def report(renderer: Renderer) -> list[str]:
     for name in rendering.Rasterizer.__members__:
         settings = type(renderer.settings)()
         settings.rasterizer = rendering.Rasterizer.__members__[name]
-        if name in ("QUADS", "TILES"):
-            settings.order = rendering.OrderSource.GPU
         renderer.settings = settings
         lines.append(f"  {name.lower()}: {_drawn(renderer, truth)}")
     return lines

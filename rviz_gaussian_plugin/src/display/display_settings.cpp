@@ -98,14 +98,12 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
       {{"Auto", OrderSource::kAuto},
        {"Sidecar", OrderSource::kSidecar},
        {"Built-in", OrderSource::kBuiltIn},
-       {"GPU", OrderSource::kGpu},
        {"Off", OrderSource::kOff}});
   rasterizer_ = choice<Rasterizer>(
       "Rasterizer", "Auto",
       "What draws the splats. Tiles: the graphics card. Processor: vector instructions, in a "
-      "thread "
-      "beside rviz, which shows the newest finished picture. Auto: Tiles if there is a graphics "
-      "card, else Processor.",
+      "thread beside rviz, which shows the newest finished picture. Auto: Tiles if there is a "
+      "graphics card that can draw them, else Processor.",
       display,
       {{"Auto", Rasterizer::kAuto},
        {"Tiles", Rasterizer::kTiles},

@@ -9,7 +9,6 @@ namespace {
 
 // The most that a frame uploads, so that a map that streams in doesn't stop the picture. [bytes]
 constexpr std::size_t kUploadBytesPerFrame = 16u << 20;
-const OrderPtr kNoOrder = std::make_shared<const Order>();  // until there is one: draws nothing
 
 double now() {
   return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
@@ -62,26 +61,19 @@ void CardDrawer::hold(const GaussianEdit& page) {
   card_->apply(std::make_shared<const GaussianEdit>(page), renderer_->clock());
 }
 
-// Auto sorts on an accelerated card: that takes less time than uploading another sorter's order.
-bool CardDrawer::sorts(OrderSource source) const {
-  const bool may =
-      source == OrderSource::kGpu || (source == OrderSource::kAuto && renderer_->accelerated());
-  return may && renderer_->sorts();
-}
-
-bool CardDrawer::wantsOrders(OrderSource source) {
-  return source != OrderSource::kBuiltIn && source != OrderSource::kOff && !sorts(source);
-}
-
 std::optional<OrderBook::Choice> CardDrawer::choose(OrderBook& book, const std::string& view_id,
                                                     OrderSource source, bool sort_now) {
-  if (sorts(source)) return {};
-  const bool ours_to_sort = source != OrderSource::kSidecar;
-  OrderBook::Choice choice = source == OrderSource::kOff ? OrderBook::Choice{unsorted(), false, 0}
-                             : ours_to_sort && sort_now  ? book.sortNow(view_id)
-                                                         : book.choose(view_id, now(), source);
-  if (!choice.order && !renderer_->sorts()) choice.order = kNoOrder;
-  return choice;
+  switch (source) {
+    case OrderSource::kAuto:
+      return {};
+    case OrderSource::kOff:
+      return OrderBook::Choice{unsorted(), false, 0};
+    case OrderSource::kSidecar:
+      return book.fromSidecar(view_id, now());
+    case OrderSource::kBuiltIn:
+      return sort_now ? book.sortNow(view_id) : book.builtIn(view_id, now());
+  }
+  return {};
 }
 
 OrderPtr CardDrawer::unsorted() {
@@ -99,7 +91,7 @@ OrderPtr CardDrawer::unsorted() {
 
 bool CardDrawer::drawsWith(const Drawer& other) {
   const auto* const on_card = dynamic_cast<const CardDrawer*>(&other);
-  return on_card && on_card->renderer_ == renderer_ && renderer_->sorts();
+  return on_card && on_card->renderer_ == renderer_;
 }
 
 std::vector<CardView> CardDrawer::views(const std::vector<Look>& looks) {
@@ -122,7 +114,7 @@ std::vector<FrameReport> CardDrawer::draw(const std::vector<Look>& looks, Canvas
     report.map = views[i].state;
     report.error = drawn[i].error;
     report.detail_error = drawn[i].detail_error;
-    report.rasterizer = renderer_->rasterizer();
+    report.rasterizer = "tiles";
     report.profile = renderer_->profile();
     if (!looks[i].order) {
       report.splats = drawn[i].drawn;

@@ -31,7 +31,7 @@ class CardDrawer : public Drawer {
     return renderer_->readSlots(*card_, slots);
   }
 
-  bool wantsOrders(OrderSource source) override;
+  bool wantsOrders(OrderSource source) override { return source == OrderSource::kSidecar; }
   std::optional<OrderBook::Choice> choose(OrderBook& book, const std::string& view_id,
                                           OrderSource source, bool sort_now) override;
 
@@ -59,7 +59,6 @@ class CardDrawer : public Drawer {
   void hold(const GaussianEdit& page) override;
   void hold(const MapState& map) override { map_ = map; }
   void take(const EditQueue::Waiting& arrival);
-  bool sorts(OrderSource source) const;
   OrderPtr unsorted();
   static std::vector<CardView> views(const std::vector<Look>& looks);
 

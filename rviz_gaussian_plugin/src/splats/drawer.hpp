@@ -32,7 +32,7 @@ struct FrameReport {
   double frame_interval = 0;              // 95th percentile over recent frames [s]
   double picture_age = 0;                 // recent maximum, 0 for a picture of this camera [s]
   double camera_off = 0;                  // recent maximum: time from its camera to this one [s]
-  std::string rasterizer;                 // "quads", "tiles" or "processor"
+  std::string rasterizer;                 // "tiles" or "processor"
   std::map<std::string, double> profile;  // time of each stage, if asked for [s]
   MapState map;                           // the map as it was drawn
 };

@@ -35,8 +35,7 @@ bool missesBudget(Frame& frame, const std::vector<std::size_t>& drawn,
 }  // namespace
 
 SplatRenderer::SplatRenderer(const ShaderSource& source)
-    : accelerated_(gl::accelerated()),
-      shaders_(checked(source)),
+    : shaders_(checked(source)),
       scatter_(shaders_.compute({"slot_scatter.comp"})),
       reader_(shaders_),
       sort_(shaders_),
@@ -46,6 +45,8 @@ SplatRenderer::SplatRenderer(const ShaderSource& source)
       compute_composite_(shaders_.compute({"splat_composite.comp"})),
       hide_(shaders_.draw({"splat_composite.vert"}, {"splat_hide.frag"})),
       surface_(shaders_.draw({"splat_composite.vert"}, {"splat_surface.frag"})) {
+  const gl::StateGuard guard;
+  if (!sort_.check()) throw gl::Error("the graphics driver sorts wrongly");
   const ViewState compiled(shaders_, sort_);  // compiles the programs that all views draw with
 }
 
@@ -54,21 +55,9 @@ double SplatRenderer::clock() const {
   return std::fmod(age.count() * kTicksPerSecond, 65536.0);
 }
 
-bool SplatRenderer::sorts() {
-  if (!sorts_) {
-    const gl::StateGuard guard;
-    sorts_ = sort_.check();
-  }
-  return *sorts_;
-}
-
 std::string SplatRenderer::warning() const {
   std::string text;
-  if (sorts_ && !*sorts_) {
-    text = "the graphics driver sorts wrongly; the processor sorts instead, and quads are drawn";
-  } else if (sort_.lostBallots()) {
-    text = "the graphics driver's subgroups don't work; sorting avoids them";
-  }
+  if (sort_.lostBallots()) text = "the graphics driver's subgroups don't work; sorting avoids them";
   if (refused_depth_) {
     text += text.empty() ? "" : "; ";
     text +=
@@ -212,9 +201,6 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView
     stopwatch.lap("translucent");
   }
   const CanvasScope window(canvas);
-  const bool in_tiles = (settings.rasterizer == Rasterizer::kTiles ||
-                         (settings.rasterizer == Rasterizer::kAuto && accelerated_)) &&
-                        sorts();
   Frame frame = this->frame(maps, canvas, stopwatch);
   for (std::size_t i = 0; i < maps.size() && !frame.order; ++i) {
     frame.layers[i].error = chosen[i].error;
@@ -234,12 +220,12 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView
     divide(view);
     stopwatch.lap("divide");
   }
-  view.blend(frame, scope, in_tiles, bool(translucent));
+  view.blend(stopwatch, bool(translucent));
   glFlush();
   // All is submitted: the graphics card works on while the loop waits for its first counts.
   while (!view.hasRoom(frame) || missesBudget(frame, view.splats().countsOfLayers(), maps)) {
     view.prepare(frame);
-    view.blend(frame, scope, in_tiles, bool(translucent));
+    view.blend(stopwatch, bool(translucent));
   }
   if (canvas != Canvas::kNone) {
     composite(window, translucent ? view.behind : view.color);
@@ -282,14 +268,14 @@ void SplatRenderer::drawSurface(const std::vector<CardView>& maps, Canvas canvas
   const CanvasScope window(canvas);
   ViewState& view = *this->view(kMouseView).state;
   const Frame frame = this->frame(maps, canvas, stopwatch);
-  do {
-    view.prepare(frame);
-  } while (!view.hasRoom(frame));
   const SplatCamera& camera = frame.camera();
   surface_depth_.become(GL_RGBA32F, camera.width, camera.height, window.targetDepth());
   const gl::DrawScope scope(surface_depth_);
   copyDepth(window, surface_depth_);
-  view.quads().blendDepth(view.splats(), surface_depth_);
+  do {
+    view.prepare(frame);
+    view.blendDepth(surface_depth_);
+  } while (!view.hasRoom(frame));
   glDisable(GL_BLEND);
   glDisable(GL_DEPTH_TEST);
   surface_.use();
@@ -304,17 +290,15 @@ void SplatRenderer::drawPick(const std::vector<CardView>& maps, Canvas canvas,
   const CanvasScope window(canvas);
   ViewState& view = *this->view(kMouseView).state;
   const Frame frame = this->frame(maps, canvas, stopwatch);
-  const bool in_tiles = sorts();
-  bool listed = false;
-  do {
-    view.prepare(frame);
-    listed = in_tiles && view.list(frame);
-  } while (!view.hasRoom(frame));
   const SplatCamera& camera = frame.camera();
   pick_depth_.become(GL_RGBA16F, camera.width, camera.height, window.targetDepth());
   const gl::DrawScope scope(pick_depth_);
   copyDepth(window, pick_depth_);
-  picker_.pick(view.splats(), listed ? &view.tiles() : nullptr, pick_depth_, view.topFirst());
+  do {
+    view.prepare(frame);
+    picker_.begin(view.splats(), pick_depth_, view.topFirst());
+    view.inRegions(stopwatch, [&] { picker_.pick(view.splats(), view.tiles(), pick_depth_); });
+  } while (!view.hasRoom(frame));
   picked_layers_ = maps.size();
   if (canvas != Canvas::kNone) picker_.draw(window, pick_depth_, number);
 }
@@ -361,7 +345,7 @@ std::vector<float> SplatRenderer::readDepth() {
   glBindFramebuffer(GL_READ_FRAMEBUFFER, drawn.framebuffer());
   glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, GL_DEPTH_BUFFER_BIT, GL_NEAREST);
   drawn_->use();
-  drawn_->quads().blendDepth(drawn_->splats(), depth_);
+  drawn_->blendDepth(depth_);
   const std::size_t columns = static_cast<std::size_t>(width),
                     rows = static_cast<std::size_t>(height);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, scope.framebuffer());

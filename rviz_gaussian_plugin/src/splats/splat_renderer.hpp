@@ -31,13 +31,13 @@ namespace rosplat {
 
 using CardView = Viewed<CardMap>;
 
-// Draws maps with OpenGL 4.4. Visible splats are projected once a frame, then blended as quads or
-// in tiles, in a given order or in one found here. The maps of a view share one picture, sorted
-// together; the settings of the first map decide the rasterizer, its precision and the profile.
-// Knows no Ogre. Render thread only.
+// Draws maps with OpenGL 4.4. Visible splats are projected once a frame, then blended tile by tile,
+// in a given order or in one found here. The maps of a view share one picture, sorted together; the
+// settings of the first map decide the picture's precision and the profile. Knows no Ogre. Render
+// thread only.
 class SplatRenderer {
  public:
-  // Throws gl::Error if the driver lacks what this needs.
+  // Throws gl::Error if the driver lacks what this needs, or sorts wrongly.
   explicit SplatRenderer(const ShaderSource& source);
 
   double clock() const;  // of `change` in packed_slot.hpp
@@ -87,16 +87,9 @@ class SplatRenderer {
   // none. Only right after draw(): a picture for mouse tools may take over the view's state.
   std::vector<float> readDepth();
 
-  // Whether the GPU sorts correctly; the first call tests that. If not, nothing is drawn or picked
-  // in tiles, nor drawn without an order.
-  bool sorts();
   // For the user: what the driver can't do and what is done instead. Empty if it can do everything.
   std::string warning() const;
 
-  // Whether a graphics card draws, not the processor.
-  bool accelerated() const { return accelerated_; }
-  // Of the last draw().
-  const char* rasterizer() const { return drawn_->rasterizer(); }
   // Of the last draw(), by stage [s]; empty unless settings.profile asked for it.
   const std::map<std::string, double>& profile() const { return profile_; }
   std::size_t gpuBytes() const;  // beside the maps
@@ -125,13 +118,11 @@ class SplatRenderer {
   // Lays splats over the canvas.
   void composite(const CanvasScope& window, const gl::Target& splats) const;
 
-  bool accelerated_;
   Shaders shaders_;
   const gl::Program& scatter_;  // slot_scatter.comp
   SlotReader reader_;
   RadixSort sort_;                 // which the contexts of all windows use
   GLsync sort_is_free_ = nullptr;  // of the last gl::Turn; the destructor leaves it to its context
-  std::optional<bool> sorts_;
   SplatPicker picker_;
   const gl::Program &divide_, &composite_, &compute_composite_, &hide_, &surface_;
 

@@ -70,19 +70,27 @@ std::vector<std::string> SplatScene::hardRegimes(const RenderSettings& settings,
 
 void SplatScene::prepare(const RenderSettings& settings) {
   if (drawer_ && asked_ == settings.rasterizer) return;
-  try {
-    const DrawnBy by = drawnBy(settings.rasterizer);
-    if (!drawer_ || drawer_->by() != by) exchange(by);
-    refusal_.clear();
-  } catch (const std::exception& error) {
-    const bool memory = dynamic_cast<const std::bad_alloc*>(&error) != nullptr;
-    if (!drawer_) {
-      unusable_ = settings.rasterizer == Rasterizer::kAuto;
-      if (unusable_) arrivals_->clear();
-      throw;
+  DrawnBy by = drawnBy(settings.rasterizer);
+  refusal_.clear();
+  while (!drawer_ || drawer_->by() != by) {
+    try {
+      exchange(by);
+    } catch (const std::exception& error) {
+      const bool memory = dynamic_cast<const std::bad_alloc*>(&error) != nullptr;
+      const std::string reason = memory ? "memory is lacking" : error.what();
+      if (drawer_) {
+        refusal_ = "the rasterizer wasn't changed: " + reason;
+        break;
+      }
+      const bool either = settings.rasterizer == Rasterizer::kAuto;
+      if (!either || by == DrawnBy::kProcessor) {
+        unusable_ = either;
+        if (unusable_) arrivals_->clear();
+        throw;
+      }
+      by = DrawnBy::kProcessor;
+      refusal_ = "the processor draws, not the graphics card: " + reason;
     }
-    refusal_ = "the rasterizer wasn't changed: ";
-    refusal_ += memory ? "memory is lacking" : error.what();
   }
   asked_ = settings.rasterizer;
 }
@@ -103,13 +111,13 @@ void SplatScene::exchange(DrawnBy by) {
 
 void SplatScene::update(bool all) {
   const MapState map = drawer_->update(all);
-  if (!same(map, booked_)) book_.mapChanged(booked_ = map, now());
+  if (!same(map, booked_)) book_.mapChanged(booked_ = map);
   std::map<std::string, OrderPtr> orders;
   {
     const std::lock_guard lock(orders_mutex_);
     orders.swap(orders_);
   }
-  for (const auto& [view_id, order] : orders) book_.offer(order, now());
+  for (const auto& [view_id, order] : orders) book_.offer(order);
 }
 
 void SplatScene::upload(const RenderSettings& settings) {

@@ -83,8 +83,7 @@ class SplatScene {
   // together(), and their cameras the same camera.
   static void draw(const std::vector<InView>& maps, Canvas canvas, bool sort_now,
                    const Surroundings& around);
-  // Render thread: whether two prepared maps are drawn by one renderer, in one picture. On a
-  // graphics card, only if the card sorts.
+  // Render thread: whether two prepared maps are drawn by one renderer, in one picture.
   static bool together(const SplatScene& one, const SplatScene& other) {
     return one.drawer_->drawsWith(*other.drawer_);
   }

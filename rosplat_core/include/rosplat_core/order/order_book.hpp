@@ -8,17 +8,15 @@
 #include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/order/built_in_sorter.hpp"
 #include "rosplat_core/order/order.hpp"
-#include "rosplat_core/views/render_settings.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
 
 namespace rosplat {
 
-// Decides, view by view, which order to draw: a sidecar's order that answers the newest camera and
-// map; else, for kPatience, the sidecar's last order with changed slots merged in; else an order of
-// the built-in sorter. All times are of one monotonic clock [s].
+// Keeps the orders of each view: those that a sidecar sends, and those that the built-in sorter
+// finds. All times are of one monotonic clock [s].
 class OrderBook {
  public:
-  // How long to wait for a sidecar [s]. Above the 82 ms that sorting 5M splats takes on one core.
+  // How old an order may be that received() returns [s].
   static constexpr double kPatience = 0.25;
 
   struct Choice {
@@ -34,20 +32,21 @@ class OrderBook {
                  double now);
 
   // Tells that the map has another revision.
-  void mapChanged(const MapState& map, double now);
+  void mapChanged(const MapState& map);
 
   // Takes a sidecar's order; one of a map or revision that isn't here yet waits for that. Returns
   // false if the order is refused: of an unknown view or camera, worse than the last, or too large.
-  bool offer(const OrderPtr& order, double now);
+  bool offer(const OrderPtr& order);
 
   // Whether a sidecar's order answers the newest camera and the newest map.
   bool answered(const std::string& view_id) const;
 
-  // Returns the order to draw now; asks the built-in sorter if the sidecar's isn't enough. A source
-  // other than kAuto rules the other sources out.
-  Choice choose(const std::string& view_id, double now, OrderSource source = OrderSource::kAuto);
-
-  // The same, but waits for a sort by the built-in sorter, whatever the sidecar sent.
+  // Returns the sidecar's newest order. If the map has changed since, the built-in sorter merges
+  // the changed slots into it.
+  Choice fromSidecar(const std::string& view_id, double now);
+  // Returns the built-in sorter's newest order, and asks for one of the newest camera and map.
+  Choice builtIn(const std::string& view_id, double now);
+  // Waits for that one.
   Choice sortNow(const std::string& view_id);
 
   // Returns the sidecar's newest order if it is of the map's revision and at most kPatience old.
@@ -65,13 +64,13 @@ class OrderBook {
     std::deque<Camera> cameras;  // newest last; equal cameras in a row are kept once
     std::uint64_t sequence = 0;  // newest
     OrderPtr sidecar, built_in, drawn;
-    OrderPtr early;            // the sidecar's, of a map or revision that isn't here yet
-    double waiting_since = 0;  // for the sidecar [s]
+    OrderPtr early;  // the sidecar's, of a map or revision that isn't here yet
     std::uint64_t requested_sequence = 0, requested_at = 0;  // requested_at: by changes_
     OrderPtr requested_base;
   };
 
   bool fresh(const ViewOrders& view, const Order& order) const;
+  void takeSorted(const std::string& view_id, ViewOrders& view);
   void request(const std::string& view_id, ViewOrders& view, const OrderPtr& base);
   Choice chosen(const ViewOrders& view, const OrderPtr& order, double now) const;
 

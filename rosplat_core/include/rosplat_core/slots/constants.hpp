@@ -29,7 +29,7 @@ constexpr float kLowPass = 0.3f;  // [px^2], part of the trained model
 constexpr float kCutoffAlpha = 1.0f / 255.0f;
 constexpr float kLog2Cutoff = -7.99435344f;  // log2(kCutoffAlpha)
 // The transmittance at which a pixel is complete. On the processor as in gsplat: 106 dB and more
-// against blending all splats. A card's tiles go on, to come nearer to its quads, which blend all.
+// against blending all splats. A card goes on, which costs it next to nothing.
 constexpr float kTransparent = 1e-4f;
 constexpr float kTransparentInTiles = 1e-5f;
 // How far beyond the picture tangents are clamped [picture sizes]: 0.3 tan(fov / 2), as trained.

@@ -25,12 +25,16 @@ inline bool drawsBalls(DrawMode mode) {
 enum class Antialiasing { kAsTrained, kOn, kOff };
 
 // Which sorter's order is drawn.
-enum class OrderSource { kAuto, kSidecar, kBuiltIn, kOff, kGpu };
+enum class OrderSource {
+  kAuto,     // the rasterizer's, which sorts each picture
+  kSidecar,  // a sorter's
+  kBuiltIn,  // that of a thread of this process, which may be late
+  kOff,      // nobody's: by slots
+};
 
 // How the splats are blended.
 enum class Rasterizer {
-  kAuto,       // kTiles if a graphics card draws, else kProcessor
-  kQuads,      // the fixed-function blending of quads, back to front
+  kAuto,       // kTiles if there is a graphics card that can, else kProcessor
   kTiles,      // compute shaders, tile by tile, front to back
   kProcessor,  // the processor's own vector instructions
 };
@@ -64,8 +68,7 @@ struct RenderSettings {
   DrawMode mode = DrawMode::kColor;
   int max_sh_degree = kMaxShDegree;
   int only_band = -1;  // draw one band of spherical harmonics alone; -1: all
-  // Blend in 32-bit instead of 16-bit floats: more exact ("Half floats" in docs/stability.md), but
-  // quads take two to five times as long. The processor always uses 32 bits.
+  // Keep pictures in 32-bit instead of 16-bit floats. They are blended in 32 bits in either case.
   bool float_blending = false;
   // Nobody waits for a picture: the processor paints after the camera, and the newest picture is
   // shown meanwhile. The level of detail approaches a budget in small steps.

@@ -12,7 +12,6 @@ from rosplat_lab import reference
 from rosplat_lab.lab.atlas.case import Cases, Curves
 from rosplat_lab.lab.atlas.stage import (
     PROCESSOR,
-    SHADERS,
     Errors,
     Image,
     Stage,
@@ -43,8 +42,6 @@ def layers(stage: Stage) -> tuple[Sequence[float], Curves]:
         camera = ahead(**SMALL)
         expected = truth(fog, camera)
         curves.add(stage.both(fog, camera, expected))
-        half = stage.shown(fog, camera, SHADERS, rasterizer="QUADS", float_blending=False)
-        curves.add(iter([("quads in half floats", decibels(half, expected))]))
     return counts, curves
 
 

@@ -49,7 +49,7 @@ class Stage:
             renderer: Ours = CpuRenderer()
         else:
             renderer = self.display
-            whose = "GPU" if order is None else "SIDECAR"
+            whose = "AUTO" if order is None else "SIDECAR"
             settings = {"rasterizer": "TILES", "float_blending": True, "order": whose} | settings
         renderer.show(splats)
         renderer.use(settings)

@@ -564,11 +564,6 @@ std::string unsupported() {
     return "OpenGL 4.4 is needed to draw splats, this is " + std::to_string(version / 10) + "." +
            std::to_string(version % 10) + driver + "; update the graphics driver";
   }
-  GLint vertex_buffers = 0;
-  glGetIntegerv(GL_MAX_VERTEX_SHADER_STORAGE_BLOCKS, &vertex_buffers);
-  if (vertex_buffers < 8) {
-    return "the graphics driver reads no storage buffers in vertex shaders" + driver;
-  }
   GLint compute_buffers = 0;
   glGetIntegerv(GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS, &compute_buffers);
   if (compute_buffers < kStorageBindings) {

@@ -117,6 +117,9 @@ class Program {
   void set(const char* uniform, double x, double y) const {
     glUniform2f(at(uniform), static_cast<float>(x), static_cast<float>(y));
   }
+  void set(const char* uniform, const std::array<GLint, 4>& v) const {
+    glUniform4iv(at(uniform), 1, v.data());
+  }
 
  private:
   struct Shader {

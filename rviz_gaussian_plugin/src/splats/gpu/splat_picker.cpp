@@ -9,9 +9,7 @@ SplatPicker::SplatPicker(Shaders& shaders)
                              "splat_depth.glsl", "splat_pick.comp"})),
       colour_(shaders.draw({"splat_composite.vert"}, {"splat_pick.frag"})) {}
 
-void SplatPicker::pick(const OrderedSplats& splats, const TileRasterizer* lists,
-                       const gl::Target& target, bool top_first) {
-  const int across = tilesIn(target.width()), down = tilesIn(target.height());
+void SplatPicker::begin(const OrderedSplats& splats, const gl::Target& target, bool top_first) {
   width_ = static_cast<std::size_t>(target.width());
   height_ = static_cast<std::size_t>(target.height());
   top_first_ = top_first;
@@ -20,19 +18,18 @@ void SplatPicker::pick(const OrderedSplats& splats, const TileRasterizer* lists,
   layer_begins_ = splats.projection().pages().layerBegins();
   picked_.reserve(nothing.size() * sizeof(std::uint32_t));
   picked_.write(0, nothing.data(), nothing.size() * sizeof(std::uint32_t));
-  if (splats.count() == 0) return;
+}
+
+void SplatPicker::pick(const OrderedSplats& splats, const TileRasterizer& lists,
+                       const gl::Target& target) {
   pick_.use();
   splats.projection().bindEllipses(pick_);
   splats.projection().bindVisible(pick_);
   pick_.set("words", static_cast<GLuint>(splats.projection().slotWords()));
-  pick_.set("listed", int(lists != nullptr));
-  pick_.bind("Splats", lists ? lists->splats() : splats.drawn());
-  if (lists) pick_.bind("Lists", lists->lists());
   pick_.bind("Picked", picked_);
-  pick_.bind("Length", splats.tally().words());
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.depth());
-  gl::dispatch(std::size_t(across) * std::size_t(down));
+  lists.dispatchTiles(pick_);
   gl::storageBarrier();
 }
 

@@ -17,10 +17,10 @@ class SplatPicker {
  public:
   explicit SplatPicker(Shaders& shaders);
 
-  // Picks among the splats that the target's depth doesn't hide. lists: the splats by the target's
-  // tiles; with null, each tile walks all splats.
-  void pick(const OrderedSplats& splats, const TileRasterizer* lists, const gl::Target& target,
-            bool top_first);
+  // Begins picks among the splats of a picture as large as the target.
+  void begin(const OrderedSplats& splats, const gl::Target& target, bool top_first);
+  // Picks in the region that is listed, where the target's depth doesn't hide splats.
+  void pick(const OrderedSplats& splats, const TileRasterizer& lists, const gl::Target& target);
   // Writes a number as 24-bit colour wherever a splat was picked.
   void draw(const CanvasScope& canvas, const gl::Target& target, std::uint32_t number) const;
   // Returns the picked slots of a layer: width * height, top row first; kNoSlot for none.
@@ -31,7 +31,7 @@ class SplatPicker {
  private:
   const gl::Program &pick_, &colour_;
   gl::Buffer picked_;  // numbers of slots, as PageTable has them
-  // PageTable::firstSlots() and layerBegins(), as pick() found them.
+  // PageTable::firstSlots() and layerBegins(), as begin() found them.
   std::vector<std::uint32_t> first_slots_;
   std::vector<std::size_t> layer_begins_;
   std::size_t width_ = 0, height_ = 0;

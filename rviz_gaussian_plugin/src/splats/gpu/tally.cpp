@@ -7,7 +7,7 @@ namespace rosplat {
 
 namespace {
 
-constexpr std::size_t kGroups = 2, kBlocks = 5, kQuads = 8;  // words
+constexpr std::size_t kGroups = 2, kBlocks = 5;  // words
 
 }  // namespace
 
@@ -19,10 +19,8 @@ void Tally::set(std::size_t count) {
   const GLuint groups = ceilDiv(count, 256), blocks = std::max(ceilDiv(count, kBlock), 1u);
   const GLuint group_rows = std::max(ceilDiv(groups, 65535), 1u);
   const GLuint block_rows = ceilDiv(blocks, 65535);
-  const std::array<GLuint, 12> words{n,          n, ceilDiv(groups, group_rows),
-                                     group_rows, 1, ceilDiv(blocks, block_rows),
-                                     block_rows, 1, 4,
-                                     n,          0, 0};
+  const std::array<GLuint, 8> words{
+      n, n, ceilDiv(groups, group_rows), group_rows, 1, ceilDiv(blocks, block_rows), block_rows, 1};
   static_assert(sizeof(words) == kBytes);
   words_.write(words.data());
 }
@@ -37,12 +35,5 @@ void Tally::dispatch(std::size_t word) const {
 void Tally::dispatchGroups() const { dispatch(kGroups); }
 
 void Tally::dispatchBlocks() const { dispatch(kBlocks); }
-
-void Tally::drawQuads() const {
-  glBindBuffer(GL_DRAW_INDIRECT_BUFFER, words_.buffer);
-  glDrawArraysIndirect(GL_TRIANGLE_STRIP,
-                       reinterpret_cast<const void*>(words_.offset + kQuads * sizeof(GLuint)));
-  glBindBuffer(GL_DRAW_INDIRECT_BUFFER, 0);
-}
 
 }  // namespace rosplat

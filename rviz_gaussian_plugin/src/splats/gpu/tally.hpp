@@ -38,12 +38,12 @@ class UsageTracker {
   int uses_ = 0;
 };
 
-// A count that a shader finds, with the sizes of the dispatches and draws that process it, so that
-// these need not wait for the CPU. splat_common.glsl has the same.
+// A count that a shader finds, with the sizes of the dispatches that process it, so that these need
+// not wait for the CPU. splat_common.glsl has the same.
 class Tally {
  public:
   static constexpr std::size_t kBlock = 4096;
-  static constexpr std::size_t kBytes = 12 * sizeof(GLuint);
+  static constexpr std::size_t kBytes = 8 * sizeof(GLuint);
   static constexpr std::size_t kWanted = 1;  // word: what the count would be with room for all
 
   // words: of kBytes; get a count of 0.
@@ -58,8 +58,6 @@ class Tally {
   // Run the compute program in use, a work group for each 256, or each kBlock, of the count.
   void dispatchGroups() const;
   void dispatchBlocks() const;
-  // Draws as many triangle strips of four vertices as the count.
-  void drawQuads() const;
 
  private:
   void dispatch(std::size_t word) const;

@@ -3,13 +3,14 @@
 #include <algorithm>
 #include <array>
 #include <initializer_list>
+#include <utility>
 #include <vector>
 
 namespace rosplat {
 
 namespace {
 
-constexpr int kPatience = 64;        // pictures until memory that was lacking is tried again
+constexpr int kPatience = 64;        // lists until memory that was lacking is tried again
 constexpr std::size_t kListed = 32;  // splats counted together, as in macro_tiles.glsl
 // Tiles across and down a macro tile, as in splat_tiles.glsl.
 constexpr int kMacroColumns = 8, kMacroRows = 4;
@@ -21,19 +22,19 @@ constexpr std::size_t kPartialBytes = 4 * sizeof(GLfloat) * 256;
 constexpr std::size_t kGroupWords = 3;        // of tile_segments.glsl, before `tiles`
 constexpr std::size_t kFewSegments = 16;      // there is room for these, even if none is needed
 constexpr std::size_t kMostSegments = 65535;  // every driver dispatches as many in one dimension
+// After blending: the picture may be drawn, or blended once more.
+constexpr GLbitfield kReadNext =
+    GL_TEXTURE_FETCH_BARRIER_BIT | GL_FRAMEBUFFER_BARRIER_BIT | GL_SHADER_IMAGE_ACCESS_BARRIER_BIT;
 
-// Return how many pairs of a splat and a macro tile, or a tile, may be listed. All take 2 GiB.
-std::size_t mostMacroPairs() {
-  return std::min(std::size_t{1} << 26, gl::largestStorageBuffer() / (2 * sizeof(GLuint)));
+// Returns the most that a region's lists may have: together, pairs take 2 GiB.
+TileRasterizer::Wanted mostRoom() {
+  const std::size_t words = gl::largestStorageBuffer() / sizeof(GLuint);
+  return {std::min(std::size_t{1} << 26, words / 2), std::min(std::size_t{1} << 28, words),
+          std::min(kMostSegments, gl::largestStorageBuffer() / kPartialBytes)};
 }
 
-std::size_t mostPairs() {
-  return std::min(std::size_t{1} << 28, gl::largestStorageBuffer() / sizeof(GLuint));
-}
-
-std::size_t mostSegments() {
-  return std::min(kMostSegments, gl::largestStorageBuffer() / kPartialBytes);
-}
+// Returns how often a number of rows or columns can be halved until each is alone.
+int halvings(int count) { return bitsOf(static_cast<std::size_t>(count) - 1); }
 
 // Returns the program that blends tiles. of: the files that say what kinds of splats it blends.
 const gl::Program& blender(Shaders& shaders, std::initializer_list<const char*> of) {
@@ -65,71 +66,101 @@ TileRasterizer::TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies&
           blender(shaders, {"tile_segments.glsl", "splat_balls.glsl", "splat_shares.glsl"})),
       blend_shares_divided_(
           blender(shaders, {"splat_balls.glsl", "splat_shares.glsl", "splat_behind.glsl"})),
+      blend_depths_(blender(shaders, {"tile_segments.glsl", "splat_balls.glsl", "splat_shares.glsl",
+                                      "splat_depths.glsl"})),
       prefix_sum_(shaders),
       sort_(sort),
       macro_pair_count_(tallies.of(Tallies::kMacroPairs)),
       zero_(tallies.of(Tallies::kZero)),
       wanted_(tallies.of(Tallies::kLists)),
-      segments_room_(kFewSegments),
-      most_macro_pairs_(mostMacroPairs()) {
+      room_{0, 0, kFewSegments},
+      most_(mostRoom()) {
   const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> zeros{};
   zero_.write(zeros.data());
   wanted_.write(zeros.data());
 }
 
-bool TileRasterizer::checkRoom(std::size_t macro_pairs, double growth) {
-  refused_ = macro_pairs > most_macro_pairs_;
-  if (refused_ || macro_pairs > macro_room_) {
-    listed_ = false;
-    if (!refused_) macro_room_ = std::min(withSlack(macro_pairs, growth), most_macro_pairs_);
-    return false;
-  }
-  if (macro_used_.wastes(macro_pairs)) macro_room_ = withSlack(macro_pairs);
-  return true;
-}
-
-bool TileRasterizer::checkLists(std::size_t pairs, std::size_t segments, double growth) {
-  segments = std::min(segments, mostSegments());
-  const bool enough = pairs <= room_ && segments <= segments_room_;
-  if (!enough) listed_ = false;
-  refused_ = refused_ || pairs > mostPairs();
-  if (!refused_ && (used_.wastes(pairs) || pairs > room_)) {
-    room_ = std::min(withSlack(pairs, growth), mostPairs());
-  }
-  if (segments_used_.wastes(segments) || segments > segments_room_) {
-    segments_room_ = std::clamp(withSlack(segments), kFewSegments, mostSegments());
-  }
-  return enough;
-}
-
-bool TileRasterizer::count(const OrderedSplats& splats, int width, int height) {
-  if (patience_ > 0 && --patience_ == 0) most_macro_pairs_ = mostMacroPairs();
+void TileRasterizer::list(const OrderedSplats& splats, int width, int height, std::size_t region,
+                          gl::Stopwatch& stopwatch) {
+  if (patience_ > 0 && --patience_ == 0) most_ = mostRoom();
+  if (region == 0 && std::exchange(halves_fit_, false)) regions_ /= 2;
   width_ = width;
   height_ = height;
+  regions_ = std::min(regions_, std::size_t{1} << mostHalvings());
+  number_ = region;
+  region_ = regionOf(region);
   listed_ = false;
-  macro_room_ = std::max(macro_room_, splats.most());
-  try {
-    reserve(splats.most());
-  } catch (const gl::Error&) {
-    most_macro_pairs_ = macro_room_ / 2;
-    patience_ = kPatience;
-    refused_ = true;
-    for (gl::Buffer* buffer : {&listed_splats_, &partials_}) buffer->release();
-    macro_room_ = room_ = 0;
-    segments_room_ = kFewSegments;
-    return false;
+  reserve(splats.most());
+  if (regions_ > 1) gl::storageBarrier();  // the region before may still read what this one writes
+  listMacroPairs(splats);
+  stopwatch.lap("list");
+  listByTiles(splats);
+  stopwatch.lap("bin");
+  listed_ = regions_ == 1;
+}
+
+bool TileRasterizer::checkRoom(const Wanted& wanted, double growth) {
+  const auto fits = [this](std::size_t macro_pairs, std::size_t pairs) {
+    return macro_pairs <= most_.macro_pairs && pairs <= most_.pairs;
+  };
+  const std::size_t times =
+      1 + std::max(wanted.macro_pairs / (most_.macro_pairs + 1), wanted.pairs / (most_.pairs + 1));
+  if (times > 1 && useMoreRegions(times)) return false;
+  const Wanted needed{std::min(wanted.macro_pairs, most_.macro_pairs),
+                      std::min(wanted.pairs, most_.pairs),
+                      std::min(wanted.segments, most_.segments)};
+  bool enough = true;
+  const auto adapt = [&](std::size_t& room, UsageTracker& used, std::size_t need, std::size_t most,
+                         std::size_t least) {
+    const bool lacks = need > room;
+    if (used.wastes(need) || lacks) room = std::max(std::min(withSlack(need, growth), most), least);
+    enough = enough && !lacks;
+  };
+  adapt(room_.macro_pairs, macro_pairs_used_, needed.macro_pairs, most_.macro_pairs, 0);
+  adapt(room_.pairs, pairs_used_, needed.pairs, most_.pairs, 0);
+  adapt(room_.segments, segments_used_, needed.segments, most_.segments, kFewSegments);
+  listed_ = listed_ && enough;
+  if (regions_ == 1 || !enough) return enough;
+  // Once all neighbours would find room together, the next picture takes half as many regions.
+  if (number_ % 2 == 0) {
+    even_ = wanted;
+    halves_fit_ = number_ == 0 || halves_fit_;
+  } else {
+    const auto withRoom = [](std::size_t a, std::size_t b) { return withSlack(a + b); };
+    halves_fit_ = halves_fit_ && fits(withRoom(even_.macro_pairs, wanted.macro_pairs),
+                                      withRoom(even_.pairs, wanted.pairs));
   }
-  count_.use();
-  splats.projection().bindEllipses(count_);
-  count_.bind("Drawn", splats.drawn());
-  count_.bind("Boxes", splats.projection().boxes());
-  count_.bind("OrderedBoxes", sort_.spareKeys());
-  count_.bind("Counts", counts_);
-  count_.bind("Length", splats.tally().words());
-  splats.tally().dispatchGroups();
-  gl::storageBarrier();
-  prefix_sum_.run(counts_, splats.tally(), macro_pair_count_, macro_room_, kListed);
   return true;
+}
+
+// Has pictures be listed in so many times as many regions, or more. Returns false if there are no
+// smaller ones.
+bool TileRasterizer::useMoreRegions(std::size_t times) {
+  const std::size_t most = std::size_t{1} << mostHalvings();
+  if (regions_ == most) return false;
+  while (times > 1 && regions_ < most) {
+    regions_ *= 2;
+    times = (times + 1) / 2;
+  }
+  listed_ = halves_fit_ = false;
+  return true;
+}
+
+int TileRasterizer::mostHalvings() const {
+  return halvings(macroRows()) + halvings(macroColumns());
+}
+
+// Halves rows of macro tiles until each is alone, then columns. So each region is half of one of
+// half as many regions.
+std::array<GLint, 4> TileRasterizer::regionOf(std::size_t number) const {
+  const int all = bitsOf(regions_) - 1, rows = std::min(all, halvings(macroRows()));
+  const int columns = all - rows;
+  const auto cut = [](int count, std::size_t part, int halved) {
+    return static_cast<GLint>(static_cast<std::size_t>(count) * part >> halved);
+  };
+  const std::size_t row = number >> columns, column = number - (row << columns);
+  return {cut(macroColumns(), column, columns), cut(macroRows(), row, rows),
+          cut(macroColumns(), column + 1, columns), cut(macroRows(), row + 1, rows)};
 }
 
 void TileRasterizer::reserve(std::size_t splats) {
@@ -137,25 +168,55 @@ void TileRasterizer::reserve(std::size_t splats) {
     if (buffer.bytes() / 4 > bytes) buffer.release();
     buffer.reserve(bytes);
   };
+  // Where memory is lacking, makes do with half, and so on.
+  const auto reserveMost = [this](std::size_t& room, std::size_t& most, const auto& reserve_room) {
+    while (true) {
+      try {
+        return reserve_room();
+      } catch (const gl::Error&) {
+        if (room < kFewSegments) throw;
+        most = room /= 2;
+        patience_ = kPatience;
+      }
+    }
+  };
   counts_.reserve((splats / kListed + 1) * sizeof(GLuint));
   prefix_sum_.reserve(splats / kListed + 1);
-  const std::size_t blocks = macro_room_ / kBlockSplats + 1;
-  sort_.reserve(blocks * kBlockSplats);
-  reserve(splats_, macro_room_ * sizeof(GLuint));
-  reserve(listed_splats_, std::max<std::size_t>(room_, 1) * sizeof(GLuint));
-  reserve(partials_, segments_room_ * kPartialBytes);
   begins_.reserve((macroTiles() + 1) * sizeof(GLuint));
-  places_.reserve((blocks + macroTiles()) * kMacroColumns * kMacroRows * sizeof(GLuint));
   lists_.reserve(tiles() * 3 * sizeof(GLuint));
-  if (segments_.bytes() < (kGroupWords + segments_room_) * sizeof(GLuint)) {
-    segments_.reserve((kGroupWords + segments_room_) * sizeof(GLuint));
+  room_.macro_pairs = std::min(std::max(room_.macro_pairs, splats), most_.macro_pairs);
+  reserveMost(room_.macro_pairs, most_.macro_pairs, [&] {
+    const std::size_t blocks = room_.macro_pairs / kBlockSplats + 1;
+    sort_.reserve(blocks * kBlockSplats);
+    reserve(splats_, room_.macro_pairs * sizeof(GLuint));
+    places_.reserve((blocks + macroTiles()) * kMacroColumns * kMacroRows * sizeof(GLuint));
+  });
+  reserveMost(room_.pairs, most_.pairs, [&] {
+    reserve(listed_splats_, std::max<std::size_t>(room_.pairs, 1) * sizeof(GLuint));
+  });
+  reserveMost(room_.segments, most_.segments,
+              [&] { reserve(partials_, room_.segments * kPartialBytes); });
+  if (segments_.bytes() < (kGroupWords + room_.segments) * sizeof(GLuint)) {
+    segments_.reserve((kGroupWords + room_.segments) * sizeof(GLuint));
     constexpr std::array<GLuint, kGroupWords> kNoGroups{0, 1, 1};
     segments_.write(0, kNoGroups.data(), sizeof(kNoGroups));
   }
 }
 
-void TileRasterizer::list(const OrderedSplats& splats, gl::Stopwatch& stopwatch) {
-  const int bits = std::max(bitsOf(macroTiles() - 1), 1);
+// Lists the splats with the macro tiles that they touch, in the splats' order.
+void TileRasterizer::listMacroPairs(const OrderedSplats& splats) {
+  const int bits = macroBits();
+  count_.use();
+  splats.projection().bindEllipses(count_);
+  count_.bind("Drawn", splats.drawn());
+  count_.bind("Boxes", splats.projection().boxes());
+  count_.bind("OrderedBoxes", sort_.spareKeys());
+  count_.bind("Counts", counts_);
+  count_.bind("Length", splats.tally().words());
+  count_.set("region", region_);
+  splats.tally().dispatchGroups();
+  gl::storageBarrier();
+  prefix_sum_.run(counts_, splats.tally(), macro_pair_count_, room_.macro_pairs, kListed);
   list_macros_.use();
   splats.projection().bindEllipses(list_macros_);
   list_macros_.bind("Drawn", splats.drawn());
@@ -165,10 +226,14 @@ void TileRasterizer::list(const OrderedSplats& splats, gl::Stopwatch& stopwatch)
   list_macros_.bind("MacroPairs", macro_pair_count_.words());
   list_macros_.bind("Keys", sort_.keys());
   list_macros_.bind("Splats", sort_.values(bits, splats_));
+  list_macros_.set("region", region_);
   splats.tally().dispatchGroups();
   gl::storageBarrier();
-  stopwatch.lap("list");
-  sort_.sort(macro_pair_count_, zero_, bits, splats_);
+}
+
+// Sorts these pairs by macro tile, and lists the splats with the tiles that they touch.
+void TileRasterizer::listByTiles(const OrderedSplats& splats) {
+  sort_.sort(macro_pair_count_, zero_, macroBits(), splats_);
   touch_.use();
   splats.projection().bindEllipses(touch_);
   bindTouching(touch_);
@@ -181,19 +246,17 @@ void TileRasterizer::list(const OrderedSplats& splats, gl::Stopwatch& stopwatch)
   place_.bind("Lists", lists_);
   place_.bind("Segments", segments_);
   place_.bind("Wanted", wanted_);
-  place_.set("room", static_cast<GLuint>(room_));
-  place_.set("segments_room", static_cast<GLuint>(segments_room_));
+  place_.set("room", static_cast<GLuint>(room_.pairs));
+  place_.set("segments_room", static_cast<GLuint>(room_.segments));
   gl::dispatch(macroTiles());
   gl::storageBarrier();
   list_.use();
   bindTouching(list_);
   list_.bind("Listed", listed_splats_);
-  list_.set("room", static_cast<GLuint>(room_));
+  list_.set("room", static_cast<GLuint>(room_.pairs));
   macro_pair_count_.dispatchGroups();
   gl::storageBarrier();
   glMemoryBarrier(GL_COMMAND_BARRIER_BIT);
-  stopwatch.lap("bin");
-  listed_ = true;
 }
 
 void TileRasterizer::bindTouching(const gl::Program& program) const {
@@ -208,51 +271,76 @@ void TileRasterizer::bindTouching(const gl::Program& program) const {
 void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target,
                            const gl::Target* behind) {
   const bool shares = splats.projection().hasShares();
-  const gl::Program& program = shares              ? behind ? blend_shares_divided_ : blend_shares_
-                               : behind            ? blend_divided_
-                               : splats.hasBalls() ? blend_balls_
-                                                   : blend_;
+  if (!behind) {
+    return blendInSegments(shares              ? blend_shares_
+                           : splats.hasBalls() ? blend_balls_
+                                               : blend_,
+                           splats, target);
+  }
+  glActiveTexture(GL_TEXTURE1);
+  glBindTexture(GL_TEXTURE_2D, behind->depth());
+  glBindImageTexture(1, behind->color(), 0, GL_FALSE, 0, GL_WRITE_ONLY, behind->format());
+  glBindImageTexture(2, behind->second(), 0, GL_FALSE, 0, GL_WRITE_ONLY, GL_RG32F);
+  blendTiles(shares ? blend_shares_divided_ : blend_divided_, splats, target);
+  glMemoryBarrier(kReadNext);
+}
+
+void TileRasterizer::blendDepth(const OrderedSplats& splats, const gl::Target& target) {
+  blendInSegments(blend_depths_, splats, target);
+}
+
+void TileRasterizer::blendInSegments(const gl::Program& program, const OrderedSplats& splats,
+                                     const gl::Target& target) {
+  program.use();
+  program.bind("Segments", segments_);
+  program.bind("Partials", partials_);
+  program.set("later", 0);
+  blendTiles(program, splats, target);
+  gl::storageBarrier();
+  program.set("later", 1);
+  glBindBuffer(GL_DISPATCH_INDIRECT_BUFFER, segments_.id());
+  glDispatchComputeIndirect(0);
+  gl::storageBarrier();
+  composite_.use();
+  composite_.bind("Segments", segments_);
+  composite_.bind("Partials", partials_);
+  composite_.bind("Lists", lists_);
+  glDispatchComputeIndirect(0);
+  glMemoryBarrier(kReadNext);
+}
+
+void TileRasterizer::blendTiles(const gl::Program& program, const OrderedSplats& splats,
+                                const gl::Target& target) const {
   program.use();
   splats.projection().bindEllipses(program);
-  program.bind("Listed", listed_splats_);
-  program.bind("Lists", lists_);
   program.bind("DepthRange", splats.projection().depthRange());
-  if (shares) program.bind("Shares", splats.projection().shares());
-  if (behind) {
-    glActiveTexture(GL_TEXTURE1);
-    glBindTexture(GL_TEXTURE_2D, behind->depth());
-    glBindImageTexture(1, behind->color(), 0, GL_FALSE, 0, GL_WRITE_ONLY, behind->format());
-    glBindImageTexture(2, behind->second(), 0, GL_FALSE, 0, GL_WRITE_ONLY, GL_RG32F);
-  }
+  program.bind("Shares", splats.projection().shares());
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.depth());
   glBindImageTexture(0, target.color(), 0, GL_FALSE, 0, GL_WRITE_ONLY, target.format());
-  if (!behind) {
-    program.bind("Segments", segments_);
-    program.bind("Partials", partials_);
-    program.set("later", 0);
-  }
-  gl::dispatch(tiles());
-  if (!behind) {
-    gl::storageBarrier();
-    program.set("later", 1);
-    glBindBuffer(GL_DISPATCH_INDIRECT_BUFFER, segments_.id());
-    glDispatchComputeIndirect(0);
-    gl::storageBarrier();
-    composite_.use();
-    composite_.bind("Segments", segments_);
-    composite_.bind("Partials", partials_);
-    composite_.bind("Lists", lists_);
-    glDispatchComputeIndirect(0);
-  }
-  glMemoryBarrier(GL_TEXTURE_FETCH_BARRIER_BIT | GL_FRAMEBUFFER_BARRIER_BIT |
-                  GL_SHADER_IMAGE_ACCESS_BARRIER_BIT);  // the picture may be blended once more
+  dispatchTiles(program);
 }
 
-std::size_t TileRasterizer::macroTiles() const {
-  return ceilDiv(std::size_t(tilesIn(width_)), kMacroColumns) *
-         std::size_t(ceilDiv(std::size_t(tilesIn(height_)), kMacroRows));
+void TileRasterizer::dispatchTiles(const gl::Program& program) const {
+  program.bind("Listed", listed_splats_);
+  program.bind("Lists", lists_);
+  program.set("region", region_);
+  const auto tilesAcross = [](GLint first, GLint last, int each, int tiles) {
+    return static_cast<std::size_t>(std::min(last * each, tiles) - first * each);
+  };
+  gl::dispatch(tilesAcross(region_[0], region_[2], kMacroColumns, tilesIn(width_)) *
+               tilesAcross(region_[1], region_[3], kMacroRows, tilesIn(height_)));
 }
+
+int TileRasterizer::macroColumns() const {
+  return static_cast<int>(ceilDiv(std::size_t(tilesIn(width_)), kMacroColumns));
+}
+
+int TileRasterizer::macroRows() const {
+  return static_cast<int>(ceilDiv(std::size_t(tilesIn(height_)), kMacroRows));
+}
+
+int TileRasterizer::macroBits() const { return std::max(bitsOf(macroTiles() - 1), 1); }
 
 std::size_t TileRasterizer::bytes() const {
   return counts_.bytes() + prefix_sum_.bytes() + splats_.bytes() + begins_.bytes() +

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 
 #include "gl/gl_objects.hpp"
@@ -19,54 +20,65 @@ class TileRasterizer {
   // sort: may be shared with other objects.
   TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies& tallies);
 
-  // Counts the pairs of a splat and a macro tile that it touches, in a picture of this size [px].
-  // Returns false, and is refused(), if there is no memory to list them.
-  bool count(const OrderedSplats& splats, int width, int height);
-  // Lists the pairs that were counted, and the splats that touch each tile. If there is no room for
-  // all, some are left out.
-  void list(const OrderedSplats& splats, gl::Stopwatch& stopwatch);
-  // Whether the last lists are for a picture of this size.
-  bool listed(int width, int height) const { return listed_ && counted(width, height); }
+  // Lists the splats that touch each tile of a region. If there is no room for all, some are left
+  // out: see checkRoom(). Throws gl::Error if there is no memory for any.
+  void list(const OrderedSplats& splats, int width, int height, std::size_t region,
+            gl::Stopwatch& stopwatch);
+  // How many regions a picture is listed in, one after the other: one, if there is room for its
+  // lists.
+  std::size_t regions() const { return regions_; }
+  // Whether the last lists are those of a whole picture of this size.
+  bool listed(int width, int height) const {
+    return listed_ && width_ == width && height_ == height;
+  }
 
-  // The tiles' lists, as splat_tiles.glsl has them, and the indices of ellipses in them.
-  const gl::Buffer& lists() const { return lists_; }
-  const gl::Buffer& splats() const { return listed_splats_; }
+  // Bind the lists to a program. Run it, a work group for each tile of the listed region.
+  void dispatchTiles(const gl::Program& program) const;
 
-  // Overwrites the target's colour with the listed splats that its depth lets pass. `behind`, if
-  // not null, gets the splats that the target's depth hides and its own depth lets pass; its second
-  // colour gets their nearness, as splat_hide.frag reads it.
+  // Overwrites the target's colour in the listed region with the splats that its depth lets pass.
+  // `behind`, if not null, gets the splats that the target's depth hides and its own depth lets
+  // pass; its second colour gets their nearness, as splat_hide.frag reads it.
   void blend(const OrderedSplats& splats, const gl::Target& target, const gl::Target* behind);
+  // The same, but red gets the splats' depth [m] times alpha.
+  void blendDepth(const OrderedSplats& splats, const gl::Target& target);
 
-  // Returns whether there was room for so many pairs of a splat and a macro tile. Else has the next
-  // count() make room, for more by the factor `growth` if possible, or refuses if they take too
-  // much memory.
-  bool checkRoom(std::size_t macro_pairs, double growth);
-  // The same for pairs of a splat and a tile, and for segments of long lists. If segments take too
-  // much, some lists are blended whole.
-  bool checkLists(std::size_t pairs, std::size_t segments, double growth);
-  // Whether pairs were refused last: then wait for the next count before listing. With a size:
-  // whether the pairs of a picture of this size were refused.
-  bool refused() const { return refused_; }
-  bool refused(int width, int height) const { return refused_ && counted(width, height); }
+  // What the lists of a region would have with room for all: pairs of a splat and a macro tile, of
+  // a splat and a tile, and segments of long lists.
+  struct Wanted {
+    std::size_t macro_pairs, pairs, segments;
+  };
+  // Returns whether the last lists had room for what was wanted. Else has later lists make room,
+  // for more by the factor `growth` if possible, or in more regions. If segments take too much,
+  // some lists are blended whole. If so does the smallest region, some splats are left out.
+  bool checkRoom(const Wanted& wanted, double growth);
 
   // Tells that the splats or their order have changed since the last picture.
-  void forget() {
-    width_ = 0;
-    listed_ = false;
-  }
+  void forget() { listed_ = false; }
 
   std::size_t bytes() const;
 
  private:
   std::size_t tiles() const { return std::size_t(tilesIn(width_)) * std::size_t(tilesIn(height_)); }
-  std::size_t macroTiles() const;
-  bool counted(int width, int height) const { return width_ == width && height_ == height; }
+  std::size_t macroTiles() const { return std::size_t(macroColumns()) * std::size_t(macroRows()); }
+  int macroColumns() const;
+  int macroRows() const;
+  int macroBits() const;
+  int mostHalvings() const;
+  std::array<GLint, 4> regionOf(std::size_t number) const;
+  bool useMoreRegions(std::size_t times);
 
   void reserve(std::size_t splats);
+  void listMacroPairs(const OrderedSplats& splats);
+  void listByTiles(const OrderedSplats& splats);
   void bindTouching(const gl::Program& program) const;
+  void blendInSegments(const gl::Program& program, const OrderedSplats& splats,
+                       const gl::Target& target);
+  void blendTiles(const gl::Program& program, const OrderedSplats& splats,
+                  const gl::Target& target) const;
 
   const gl::Program &count_, &list_macros_, &touch_, &place_, &list_, &composite_;
   const gl::Program &blend_, &blend_balls_, &blend_divided_, &blend_shares_, &blend_shares_divided_;
+  const gl::Program& blend_depths_;
   PrefixSum prefix_sum_;
   RadixSort& sort_;
   Tally macro_pair_count_;
@@ -75,12 +87,17 @@ class TileRasterizer {
   gl::Buffer splats_, begins_, places_;  // as tile_touching.glsl and tile_places.comp have them
   gl::Buffer listed_splats_, lists_;
   gl::Buffer segments_, partials_;  // as tile_segments.glsl has them
-  std::size_t macro_room_ = 0, room_ = 0, segments_room_;
-  UsageTracker macro_used_, used_, segments_used_;
-  std::size_t most_macro_pairs_;  // more are refused
-  int patience_ = 0;              // calls of count() until more than half of what failed is tried
-  int width_ = 0, height_ = 0;    // of the picture that pairs were counted for [px]
-  bool listed_ = false, refused_ = false;
+  Wanted room_;                     // for the lists of a region
+  Wanted most_;                     // what room_ may become
+  UsageTracker macro_pairs_used_, pairs_used_, segments_used_;
+  int patience_ = 0;            // lists until memory that was lacking is tried again
+  int width_ = 0, height_ = 0;  // of the picture that is listed [px]
+  bool listed_ = false;
+  std::size_t regions_ = 1;        // a power of two
+  std::size_t number_ = 0;         // of the listed region
+  std::array<GLint, 4> region_{};  // as splat_tiles.glsl has it
+  Wanted even_{};                  // of the last region with an even number
+  bool halves_fit_ = false;        // half as many regions would do, as far as is known
 };
 
 }  // namespace rosplat

@@ -1,6 +1,7 @@
 #include "gpu/view_state.hpp"
 
 #include <algorithm>
+#include <utility>
 
 #include "gpu/view_block.hpp"
 
@@ -9,7 +10,6 @@ namespace rosplat {
 ViewState::ViewState(Shaders& shaders, RadixSort& sort)
     : splats_(shaders, sort, tallies_),
       tiles_(shaders, sort, tallies_),
-      quads_(shaders),
       block_(sizeof(ViewBlock), GL_DYNAMIC_DRAW) {}
 
 void ViewState::prepare(const Frame& frame) {
@@ -18,6 +18,8 @@ void ViewState::prepare(const Frame& frame) {
   const ViewBlock block(frame);
   block_.write(0, &block, sizeof(block));
   use();
+  width_ = frame.camera().width;
+  height_ = frame.camera().height;
   top_first_ = frame.top_first;
   if (splats_.answers(frame)) return;
   splats_.prepare(frame);
@@ -25,38 +27,36 @@ void ViewState::prepare(const Frame& frame) {
   unknown_ = true;
 }
 
-bool ViewState::list(const Frame& frame) {
-  const int width = frame.camera().width, height = frame.camera().height;
-  if (tiles_.refused(width, height)) return false;
-  if (tiles_.listed(width, height)) return true;
-  if (!tiles_.count(splats_, width, height)) return false;
-  frame.stopwatch.lap("list");
-  // After a refusal, waiting for the count costs less than listing in vain again.
-  if (tiles_.refused()) {
+void ViewState::inRegions(gl::Stopwatch& stopwatch, const std::function<void()>& draw) {
+  if (tiles_.listed(width_, height_)) return draw();
+  std::size_t region = 0;
+  do {
+    tiles_.list(splats_, width_, height_, region, stopwatch);
     ask();
-    if (!tiles_.checkRoom(tallies_.wait(Tallies::kMacroPairs, Tally::kWanted), 1) &&
-        (tiles_.refused() || !tiles_.count(splats_, width, height))) {
-      return false;
+    listed_ = true;
+    const std::size_t regions = tiles_.regions();
+    // Regions share the memory of their lists, so this one must be whole before the next begins.
+    if (regions > 1 && !hasRoomForLists(1)) {
+      if (tiles_.regions() != regions) region = 0;
+      continue;
     }
-  }
-  tiles_.list(splats_, frame.stopwatch);
-  ask();
-  listed_ = true;
-  return true;
+    draw();
+    ++region;
+  } while (region < tiles_.regions());
 }
 
-void ViewState::blend(const Frame& frame, const gl::DrawScope& scope, bool in_tiles, bool divided) {
-  const gl::Target* const farther = divided ? &behind : nullptr;
-  if (in_tiles && list(frame)) {
-    tiles_.blend(splats_, color, farther);
-    rasterizer_ = "tiles";
-    frame.stopwatch.lap("blend");
-  } else {
-    if (unknown_) ask();
-    quads_.blend(splats_, color, scope, farther);
-    rasterizer_ = "quads";
-    frame.stopwatch.lap("quads");
-  }
+void ViewState::blend(gl::Stopwatch& stopwatch, bool divided) {
+  inRegions(stopwatch, [&] {
+    tiles_.blend(splats_, color, divided ? &behind : nullptr);
+    stopwatch.lap("blend");
+  });
+}
+
+void ViewState::blendDepth(const gl::Target& target) {
+  gl::Stopwatch unused(false);
+  do {
+    inRegions(unused, [&] { tiles_.blendDepth(splats_, target); });
+  } while (!hasRoomForLists(1));
 }
 
 void ViewState::ask() {
@@ -79,21 +79,19 @@ bool ViewState::hasRoom(const Frame& frame) {
   }
   const double growth =
       std::clamp(double(expected) / double(std::max<std::size_t>(1, capacity)), 1.0, 4.0);
-  bool enough = splats_.checkRoom(most, growth);
-  if (listed_) {
-    enough =
-        tiles_.checkRoom(tallies_.wait(Tallies::kMacroPairs, Tally::kWanted), growth) && enough;
-    enough = tiles_.checkLists(tallies_.wait(Tallies::kLists, 0), tallies_.wait(Tallies::kLists, 1),
-                               growth) &&
-             enough;
-  }
-  listed_ = false;
-  return enough;
+  const bool enough = splats_.checkRoom(most, growth);
+  return hasRoomForLists(growth) && enough;
+}
+
+bool ViewState::hasRoomForLists(double growth) {
+  if (!std::exchange(listed_, false)) return true;
+  return tiles_.checkRoom({tallies_.wait(Tallies::kMacroPairs, Tally::kWanted),
+                           tallies_.wait(Tallies::kLists, 0), tallies_.wait(Tallies::kLists, 1)},
+                          growth);
 }
 
 std::size_t ViewState::bytes() const {
-  return splats_.bytes() + tiles_.bytes() + quads_.bytes() + color.bytes() + behind.bytes() +
-         translucent.bytes();
+  return splats_.bytes() + tiles_.bytes() + color.bytes() + behind.bytes() + translucent.bytes();
 }
 
 }  // namespace rosplat

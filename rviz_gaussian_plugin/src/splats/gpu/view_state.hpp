@@ -1,12 +1,12 @@
 #pragma once
 
 #include <cstddef>
+#include <functional>
 
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
 #include "gpu/frame.hpp"
 #include "gpu/ordered_splats.hpp"
-#include "gpu/quad_rasterizer.hpp"
 #include "gpu/radix_sort.hpp"
 #include "gpu/tally.hpp"
 #include "gpu/tile_rasterizer.hpp"
@@ -17,7 +17,8 @@ namespace rosplat {
 // projected, sorted and listed by tiles, so that none of this is done again until the view changes.
 //
 // A frame is submitted stage by stage with as much room as earlier frames have needed:
-// prepare(), then blend() or list(), then hasRoom(), and all of it again if that returns false.
+// prepare(), then blend() or inRegions(), then hasRoom(), and all of it again if that returns
+// false.
 class ViewState {
  public:
   // sort: may be shared with other objects.
@@ -27,21 +28,21 @@ class ViewState {
   void use() const { glBindBufferBase(GL_UNIFORM_BUFFER, 0, block_.id()); }
   // Begins a frame. Submits the projection and the sort of the visible splats, unless kept.
   void prepare(const Frame& frame);
-  // Submits the lists by tiles, unless kept. Returns false if there is no memory for them.
-  bool list(const Frame& frame);
-  // Submits the blending of the splats that the depth of `color` lets pass into `color`. scope:
-  // that of `color`. in_tiles: by tiles, if there is memory for their lists. divided: `behind` gets
-  // the splats that the depth of `color` hides and its own doesn't.
-  void blend(const Frame& frame, const gl::DrawScope& scope, bool in_tiles, bool divided);
+  // Submits the lists by tiles, unless kept, and calls draw() after them. Where the lists of all
+  // tiles would take too much memory, does both region by region.
+  void inRegions(gl::Stopwatch& stopwatch, const std::function<void()>& draw);
+  // Submits the blending of the splats that the depth of `color` lets pass into `color`. divided:
+  // `behind` gets the splats that the depth of `color` hides and its own doesn't.
+  void blend(gl::Stopwatch& stopwatch, bool divided);
+  // Blends depths into a target instead: see TileRasterizer. Waits for the lists' counts.
+  void blendDepth(const gl::Target& target);
   // Returns whether there was room for all that was submitted; else makes room. Waits only for the
   // counts, which the graphics card finds first.
   bool hasRoom(const Frame& frame);
 
   const OrderedSplats& splats() const { return splats_; }
   const TileRasterizer& tiles() const { return tiles_; }
-  const QuadRasterizer& quads() const { return quads_; }
-  const char* rasterizer() const { return rasterizer_; }  // of the last blend()
-  bool topFirst() const { return top_first_; }            // of the last frame
+  bool topFirst() const { return top_first_; }  // of the last frame
   std::size_t bytes() const;
 
   gl::Target color, behind;      // of the splats before and behind the translucent objects
@@ -50,16 +51,16 @@ class ViewState {
 
  private:
   void ask();
+  bool hasRoomForLists(double growth);
 
   Tallies tallies_;
   OrderedSplats splats_;
   TileRasterizer tiles_;
-  QuadRasterizer quads_;
   gl::Buffer block_;
-  bool unknown_ = false;  // the counts of the submitted splats are still to be asked for
-  bool asked_ = false;    // counts were asked for, and hasRoom() is to read them
-  bool listed_ = false;   // splats were listed by tiles in this frame
-  const char* rasterizer_ = "";
+  bool unknown_ = false;        // the counts of the submitted splats are still to be asked for
+  bool asked_ = false;          // counts were asked for, and hasRoom() is to read them
+  bool listed_ = false;         // splats were listed by tiles in this frame
+  int width_ = 0, height_ = 0;  // of the last frame [px]
   bool top_first_ = false;
 };
 

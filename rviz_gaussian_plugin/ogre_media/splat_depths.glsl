@@ -1,0 +1,2 @@
+// For programs that blend the splats' depths [m] instead of colours.
+#define DEPTHS
