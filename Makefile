@@ -5,7 +5,6 @@ SHELL := /bin/bash
 
 SCENE ?=
 CAMERAS ?=
-OUT ?= out/render
 VIA ?= host
 FORMAT ?= png16
 CASES ?= 2000
@@ -24,7 +23,7 @@ help: ## This list
 setup: ## Install what is missing and build the packages
 	@./setup.sh
 
-demo: ## See a scene: SCENE=path, else a procedural one; UP="0 -1 0" where its vertical is neither its format's nor z; IMU=1 with the IMU panel (GPL)
+demo: ## See a scene: SCENE=path, else a procedural one; UP="0 -1 0" for the viewer without rviz2, where the vertical is neither the format's nor z; IMU=1 with the IMU panel (GPL)
 	$(call EXISTS,$(SCENE))
 	@./setup.sh $(if $(IMU),imu)
 	@$(ENTER); python -m rviz_gaussian_plugin.demo $(if $(SCENE),"$(SCENE)") $(if $(UP),--up $(UP))
@@ -34,10 +33,10 @@ render: ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=
 	$(call EXISTS,$(SCENE))
 	$(call EXISTS,$(CAMERAS))
 	@./setup.sh lab
-	@$(ENTER); python -m rosplat_lab.render "$(SCENE)" "$(CAMERAS)" "$(OUT)" --via $(VIA) --format $(FORMAT) $(if $(FLOAT),--float-blending) $(if $(DETAIL),--detail "$(DETAIL)")
+	@$(ENTER); python -m rosplat_lab.render "$(SCENE)" "$(CAMERAS)" "$(or $(OUT),out/render)" --via $(VIA) --format $(FORMAT) $(if $(FLOAT),--float-blending) $(if $(DETAIL),--detail "$(DETAIL)")
 
 simplify: ## Fewer splats that look the same: IN=scene OUT=scene PSNR=50, or SPLATS=count or BYTES=20M [CAMERAS=path.json [TRAJECTORY=poses.txt|BAG:TOPIC] [MARGIN=metres]] [REFINE=minutes] [REPORT=file.json]
-	@test -n "$(IN)" -a "$(OUT)" != out/render || { echo 'make simplify needs IN=scene OUT=scene, and PSNR=, SPLATS= or BYTES='; exit 1; }
+	@test -n "$(IN)" -a -n "$(OUT)" || { echo 'make simplify needs IN=scene OUT=scene, and PSNR=, SPLATS= or BYTES='; exit 1; }
 	$(call EXISTS,$(IN))
 	@./setup.sh lab
 	@$(ENTER); python -m rosplat_lab.simplify "$(IN)" "$(OUT)" $(if $(PSNR),--psnr $(PSNR)) $(if $(SPLATS),--max-splats $(SPLATS)) $(if $(BYTES),--max-bytes $(BYTES)) $(if $(CAMERAS),--cameras "$(CAMERAS)") $(if $(TRAJECTORY),--trajectory "$(TRAJECTORY)") $(if $(MARGIN),--margin $(MARGIN)) $(if $(REFINE),--refine $(REFINE)) $(if $(REPORT),--report "$(REPORT)")
@@ -48,7 +47,7 @@ bench: ## Measure this machine: QUICK=1 for two minutes; SUBJECTS="sort frame" S
 
 lab: ## Chart error against time for all settings, and where pictures fail: [SCENE=path] [OUT=folder] [QUICK=1] [DOCS=folder] [PART=chart|atlas|pages]
 	@./setup.sh lab
-	@$(ENTER); python -m rosplat_lab.lab $(if $(SCENE),"$(SCENE)") --out "$(if $(filter out/render,$(OUT)),out/lab,$(OUT))" $(if $(QUICK),--quick) $(if $(DOCS),--docs "$(DOCS)") $(if $(PART),--part $(PART))
+	@$(ENTER); python -m rosplat_lab.lab $(if $(SCENE),"$(SCENE)") --out "$(or $(OUT),out/lab)" $(if $(QUICK),--quick) $(if $(DOCS),--docs "$(DOCS)") $(if $(PART),--part $(PART))
 
 fuzz: ## Messages, requests and files as no honest peer sends them, the C++ with sanitizers: CASES=100000 [SEED=0] [CASE=number]
 	@./setup.sh dev

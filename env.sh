@@ -25,16 +25,6 @@ case $ROSPLAT_ROS in # what comes from PyPI, if it does
   *) wheels_of= ;;
 esac
 
-# A checkout that was built when there was one folder for all: that build is its ROS's.
-if [ -f "$root/.venv/ros" ] && [ ! -e "$root/.ros" ]; then
-  built=$root/.ros/$(cat "$root/.venv/ros")
-  mkdir -p "$built"
-  ln -s ../../.venv "$built/venv"
-  for folder in build install log; do
-    if [ -d "$root/$folder" ]; then ln -s "../../$folder" "$built/$folder"; fi
-  done
-fi
-
 # What this ROS has nothing to build with.
 ROSPLAT_CMAKE_ARGS="-DROSPLAT_RCLCPP=$([ -z "$wheels_of" ] && echo ON || echo OFF)"
 ROSPLAT_CMAKE_ARGS+=" -DROSPLAT_DISPLAY=$(command -v rviz2 >/dev/null && echo ON || echo OFF)"

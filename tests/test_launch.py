@@ -93,14 +93,14 @@ def started(namespace: str = "", launch: Path = VIEW, **arguments: str) -> dict[
 
 def test_nothing_is_published_unasked() -> None:
     """Not even a topic of an empty scene, beside which a volatile publisher isn't heard."""
-    assert set(started()) == {"sorter", "rviz2"}
-    assert set(started(scene="it's mine.ply")) == {"ply_publisher", "sorter", "rviz2"}
-    assert set(started(scene="town/lod-meta.json")) == {"stream_publisher", "sorter", "rviz2"}
+    assert set(started()) == {"rviz2"}
+    assert set(started(scene="it's mine.ply")) == {"ply_publisher", "rviz2"}
+    assert set(started(scene="town/lod-meta.json")) == {"stream_publisher", "rviz2"}
     assert "demo_sensors" in started(sensors="true")
 
 
-def test_the_sorter_can_be_left_out() -> None:
-    assert set(started(sorter="false")) == {"rviz2"}
+def test_a_sorter_comes_if_it_is_asked_for() -> None:
+    assert set(started(sorter="true")) == {"sorter", "rviz2"}
 
 
 def test_panels_of_sensors_come_with_sensors() -> None:
@@ -115,7 +115,7 @@ def test_panels_of_sensors_come_with_sensors() -> None:
 
 def test_obstacles_come_with_their_grid() -> None:
     shown = started("robot", obstacles="true", topic="map")
-    assert set(shown) == {"occupancy", "sorter", "rviz2"}
+    assert set(shown) == {"occupancy", "rviz2"}
     config = Path(shown["rviz2"].words[1]).read_text()
     for name in ("occupancy", "voxels", "surface"):
         assert f"Value: /gaussians/{name}" in config
@@ -130,7 +130,7 @@ def test_a_camera_comes_with_what_it_is_held_against_and_obstacles() -> None:
 
     shown = programs(scene="a.ply")
     assert set(shown) == {
-        "ply_publisher", "sorter", "demo_sensors", "occupancy", "rviz2", "camera", "compare",
+        "ply_publisher", "demo_sensors", "occupancy", "rviz2", "camera", "compare",
     }  # fmt: skip
     displays = yaml.safe_load(Path(shown["rviz2"].words[1]).read_text())["Visualization Manager"]
     topics = {

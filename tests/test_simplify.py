@@ -16,11 +16,12 @@ import pytest
 
 from rosplat_core.formats import load, save
 from rosplat_core.generated import generate
+from rosplat_core.simplification import simplify
 from rosplat_core.simplification.merging import find_pairs, merge
 from rosplat_core.simplification.search import Judge, Simplification, Trial, learn
 from rosplat_core.simplification.views import Around, resized
 from rosplat_core.slot_order import put_in_slot_order
-from rosplat_core.splats import Splats
+from rosplat_core.splats import SceneError, Splats
 from rosplat_lab.simplify.command import main
 from rosplat_testing import PATIENCE
 
@@ -97,6 +98,11 @@ def test_the_bound_is_that_of_the_file(garden: Splats, tmp_path: Path) -> None:
     out = tmp_path / "out.spz"
     assert main([GARDEN, str(out), "--psnr", "30"]) == 0
     assert Simplification(garden).judge(load(out)).psnr >= 30
+
+
+def test_an_empty_map(garden: Splats) -> None:
+    with pytest.raises(SceneError, match="no splats"):
+        simplify(garden[:0], psnr=45)
 
 
 def test_a_bound_that_no_splat_can_be_spared_for(

@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import MISSING, asdict, dataclass, fields, replace
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
@@ -52,16 +53,18 @@ class Camera:
         for name in ("id", "width", "height"):
             value = getattr(self, name)
             if (
-                not isinstance(value, int)
+                not isinstance(value, Integral)
                 or isinstance(value, bool)
                 or (name != "id" and value < 1)
             ):
                 least = "" if name == "id" else " of 1 or more"
                 raise ValueError(f"{name} is {value!r}, expected a whole number{least}")
+            object.__setattr__(self, name, int(value))
         for name in ("fx", "fy", "cx", "cy", "near", "far"):
             value = getattr(self, name)
-            if not isinstance(value, (int, float)) or not _is_finite(value):
+            if not isinstance(value, Real) or not _is_finite(value):
                 raise ValueError(f"{name} is {value!r}, expected a finite number")
+            object.__setattr__(self, name, float(value))
         if not isinstance(self.orthographic, bool):
             raise ValueError(f"orthographic is {self.orthographic!r}, expected true or false")
         if not isinstance(self.image, str | None):
@@ -102,7 +105,7 @@ class Camera:
         return from_matrices(self.camera_to_world[:3, :3])
 
 
-def _is_finite(value: float) -> bool:
+def _is_finite(value: Real) -> bool:
     try:
         return math.isfinite(value)
     except OverflowError:  # a whole number that no float holds

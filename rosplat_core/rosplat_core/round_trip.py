@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.formats.decoded import SH_C0, Floats, blocks
+from rosplat_core.formats.decoded import Floats, blocks
+from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.splats import Splats
 
 QUANTILES = (0.5, 0.99, 1.0)

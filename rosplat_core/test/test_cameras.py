@@ -42,6 +42,17 @@ def test_round_trip(tmp_path: Path) -> None:
         )
 
 
+def test_numbers_may_be_of_numpy(tmp_path: Path) -> None:
+    k = np.array([[525, 0, 319.5], [0, 524, 239.5], [0, 0, 1]], np.float32)
+    height, width = np.empty((480, 640)).shape
+    seen = Camera(
+        np.int64(3), np.int64(width), height, k[0, 0], k[1, 1], k[0, 2], k[1, 2], np.eye(4)
+    )
+    save_cameras(tmp_path / "cameras.json", [seen])
+    (read,) = load_cameras(tmp_path / "cameras.json")
+    assert (read.id, read.width, read.fx, read.cy) == (3, 640, 525.0, 239.5)
+
+
 def test_pose_and_position_invert_the_transform() -> None:
     np.testing.assert_allclose(camera().position, (3, 1, 2))
     np.testing.assert_allclose(
@@ -52,7 +63,8 @@ def test_pose_and_position_invert_the_transform() -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"fx": -1}, "fx, fy are -1"),
+        ({"fx": -1}, "fx, fy are -1.0"),
+        ({"id": True}, "id is True"),
         ({"fy": "wide"}, "fy is 'wide'"),
         ({"cx": None}, "cx is None"),
         ({"cy": 10**400}, "cy is 1000"),
@@ -60,7 +72,7 @@ def test_pose_and_position_invert_the_transform() -> None:
         ({"image": 3}, "image is 3"),
         ({"width": 0}, "width is 0, expected a whole number of 1 or more"),
         ({"height": 10.5}, "height is 10.5"),
-        ({"near": 5, "far": 2}, "near, far are 5, 2"),
+        ({"near": 5, "far": 2}, "near, far are 5.0, 2.0"),
         ({"world_to_camera": [[1, 0], [0, 1]]}, "world_to_camera: expected 4x4"),
         ({"world_to_camera": [[1, 0], [0]]}, "world_to_camera: expected 4x4"),
         ({"world_to_camera": [[10**400] * 4] * 4}, "world_to_camera: expected 4x4"),

@@ -34,7 +34,7 @@ def generate_launch_description() -> LaunchDescription:
 
 def _recorder(context: LaunchContext) -> list[ExecuteProcess | RegisterEventHandler]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    topic = given["topic"]
+    topic = "/" + given["topic"].strip("/")  # rosbag2 uses full names
     exclude = "-x" if os.environ.get("ROS_DISTRO") == "humble" else "--exclude-regex"
     command = ["ros2", "bag", "record", "-a", exclude, "/(view|order)$"]
     command += ["--qos-profile-overrides-path", str(_qos(topic))]

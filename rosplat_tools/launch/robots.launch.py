@@ -25,7 +25,7 @@ ARGUMENTS = {
     ),
     "max_splats": ("2000000", "The most splats of a streamed scene that a map holds"),
     "compression": ("none", "How splats travel: none, or quantised for a radio"),
-    "sorter": ("false", "Start a sorter for each map, for displays that don't sort by themselves"),
+    "sorter": ("false", "Start a sorter for each map, for displays whose Order Source is Sidecar"),
     "use_sim_time": ("false", "Take the time from /clock, as a simulator gives it"),
 }
 

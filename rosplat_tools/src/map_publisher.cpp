@@ -27,6 +27,9 @@ constexpr int kWarningPeriod = 5000;  // [ms]
 constexpr std::chrono::seconds kPatience(30);
 constexpr std::chrono::milliseconds kLook(100);
 
+// Of warnings: simulated time may stand still.
+rclcpp::Clock::SharedPtr steadyClock() { return std::make_shared<rclcpp::Clock>(RCL_STEADY_TIME); }
+
 geometry_msgs::msg::Pose messageOf(const Pose& pose) {
   geometry_msgs::msg::Pose message;
   auto& p = message.position;
@@ -119,8 +122,8 @@ PublishedMap::Wire MapPublisher::wireOf(Interfaces node, const MapOptions& optio
   wire.send = [publisher, clock, frame_id = options.frame_id](Batch&& batch) {
     publisher->publish(std::make_unique<Message>(messageOf(std::move(batch), frame_id, *clock)));
   };
-  wire.warn = [publisher, logger, clock](const std::string& text) {
-    RCLCPP_WARN_THROTTLE(logger, *clock, kWarningPeriod, "%s: %s", publisher->get_topic_name(),
+  wire.warn = [publisher, logger, steady = steadyClock()](const std::string& text) {
+    RCLCPP_WARN_THROTTLE(logger, *steady, kWarningPeriod, "%s: %s", publisher->get_topic_name(),
                          text.c_str());
   };
   wire.settle = [publisher, closing, context = node.base->get_context()] {
@@ -141,10 +144,11 @@ class MapPublisher::Services {
     pull_ = rclcpp::create_service<PullMap>(
         node.base, node.services, name + "/pull",
         [&map, logger, name, frame_id = options.frame_id, graph = node.graph,
-         clock = node.clock->get_clock()](const PullMap::Request::SharedPtr request,
-                                          const PullMap::Response::SharedPtr response) {
+         clock = node.clock->get_clock(),
+         steady = steadyClock()](const PullMap::Request::SharedPtr request,
+                                 const PullMap::Response::SharedPtr response) {
           if (request->map_id != map.mapId() && graph->count_publishers(name) > 1) {
-            RCLCPP_WARN_THROTTLE(logger, *clock, kWarningPeriod,
+            RCLCPP_WARN_THROTTLE(logger, *steady, kWarningPeriod,
                                  "%s: is published by others, too, and receivers see one map in "
                                  "place of the other: end all publishers but one",
                                  name.c_str());
@@ -157,7 +161,8 @@ class MapPublisher::Services {
             }
             response->next_block = answer.next_block;
           } catch (const std::exception& error) {  // no request may end the node
-            RCLCPP_ERROR(logger, "%s/pull: %s", name.c_str(), error.what());
+            RCLCPP_ERROR_THROTTLE(logger, *steady, kWarningPeriod, "%s/pull: %s", name.c_str(),
+                                  error.what());
             *response = PullMap::Response();
           }
         },

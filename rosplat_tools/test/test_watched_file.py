@@ -26,6 +26,15 @@ def test_a_version_is_told_once_it_rests(tmp_path: Path) -> None:
     assert watched.poll()
 
 
+def test_a_name_may_have_brackets(tmp_path: Path) -> None:
+    path = tmp_path / "run[1].ply"
+    path.write_bytes(b"ply")
+    watched = WatchedFile(str(path))
+    watched.poll()
+    version = watched.poll()
+    assert version and version.path == path
+
+
 def test_of_a_pattern_the_newest_counts(tmp_path: Path) -> None:
     watched = WatchedFile(str(tmp_path / "iteration_*" / "point_cloud.ply"))
     for written, iteration in [(30, 7000), (40, 30000), (20, 100)]:

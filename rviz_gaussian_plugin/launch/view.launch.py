@@ -1,4 +1,4 @@
-"""Shows a map in rviz2. Publishes it where a scene is given, and starts what sorts it."""
+"""Shows a map in rviz2. Publishes it where a scene is given."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ARGUMENTS = {
         "",
         "rviz2's Fixed Frame; by default frame_id, or the configuration's if frame_id is map",
     ),
-    "sorter": ("true", "Start a sorter; without one, rviz2 sorts by itself"),
+    "sorter": ("false", "Start a sorter, for displays whose Order Source is Sidecar"),
     "backend": ("auto", "What sorts: auto, cupy, torch, native, numpy"),
     "sensors": (
         "false",

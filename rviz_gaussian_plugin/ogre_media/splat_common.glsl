@@ -1,7 +1,6 @@
 // What all passes share. The class Shaders puts #version, its defines for the driver (as PARTS), and the
 // engine's constants (rosplat_core/slots/constants.hpp) before this.
 
-const float kTwoPi = 6.2831853;
 // Opacity of a Gaussian that falls below kCutoffAlpha at kBallEdge of its peak, or a little beyond.
 const float kBallOpacity = 0.0179;
 const uint kNone = 0xffffffffu;

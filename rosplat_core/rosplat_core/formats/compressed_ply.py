@@ -27,7 +27,6 @@ from rosplat_core.formats.bounds import claim, size_of
 from rosplat_core.formats.decoded import (
     AS_TRAINED,
     BLOCK,
-    SH_C0,
     Axes,
     Floats,
     Into,
@@ -39,6 +38,7 @@ from rosplat_core.formats.decoded import (
 from rosplat_core.formats.ply import ANTIALIASED, antialiased, rest_names
 from rosplat_core.formats.ply_file import PlyFile, header
 from rosplat_core.formats.quantised import largest_restored, smallest_three, to_bytes
+from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.splats import SceneError, Splats
 
 NAME = "compressed PLY"

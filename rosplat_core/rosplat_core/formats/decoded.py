@@ -23,7 +23,6 @@ Warn = Callable[[str], object]
 
 Floats = NDArray[np.floating[Any]]
 
-SH_C0 = 0.28209479177387814  # band 0 of the spherical harmonics: RGB is SH_C0 sh[0] + 0.5
 
 # Splats decoded or encoded at a time: their columns stay in the cache, and take little memory.
 BLOCK = 1 << 14

@@ -31,9 +31,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.formats.bounds import claim, refusing, size_of
-from rosplat_core.formats.decoded import SH_C0, Axes, Into, Made, Progress, Warn, blocks
+from rosplat_core.formats.decoded import Axes, Into, Made, Progress, Warn, blocks
 from rosplat_core.formats.placed import place
 from rosplat_core.formats.quantised import to_bytes
+from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.log_text import shown
 from rosplat_core.quaternions import to_matrices
 from rosplat_core.slot_pages import MAX_SLOTS

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from rosplat_core.formats.bounds import claim, size_of
 from rosplat_core.formats.decoded import (
     AS_TRAINED,
-    SH_C0,
     Axes,
     Floats,
     Into,
@@ -33,6 +32,7 @@ from rosplat_core.formats.decoded import (
     Progress,
     Warn,
 )
+from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, sh_coefficients
 
 NAME = ".ksplat"

@@ -19,7 +19,6 @@ import numpy as np
 from rosplat_core.formats.bounds import claim, size_of
 from rosplat_core.formats.decoded import (
     AS_TRAINED,
-    SH_C0,
     Axes,
     Into,
     Made,
@@ -28,6 +27,7 @@ from rosplat_core.formats.decoded import (
     blocks,
 )
 from rosplat_core.formats.quantised import to_bytes
+from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.splats import SceneError, Splats
 
 NAME = ".splat"

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from rosplat_core.formats.bounds import claim
-from rosplat_core.formats.decoded import SH_C0, Axes, Columns, Floats, Into, Made, Progress, Warn
+from rosplat_core.formats.decoded import Axes, Columns, Floats, Into, Made, Progress, Warn
 from rosplat_core.formats.quantised import sigmoid
+from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 

@@ -24,7 +24,7 @@ def simplify(
     for refitting the splats that are left to pictures of the map, which raises the PSNR [s].
     cameras: a path, if only views along it matter; splats that these miss least are left out.
     margin: most distance of such views from the path [m], by default a quarter of the way to the
-    nearest splats. Raises SceneError for an empty path, and unless exactly one of psnr and
+    nearest splats. Raises SceneError for an empty map or path, and unless exactly one of psnr and
     max_splats is given, above 0.
     """
     from rosplat_core.simplification.search import Simplification  # scipy takes its time
@@ -32,6 +32,8 @@ def simplify(
     bound = psnr if max_splats is None else max_splats
     if bound is None or (psnr is None) == (max_splats is None) or not bound > 0:
         raise SceneError(f"simplify: give psnr or max_splats, above 0; got {psnr} and {max_splats}")
+    if not len(splats):
+        raise SceneError("simplify: the map has no splats")
     work = Simplification(splats, path=cameras, margin=margin)
     if psnr is not None:
         work.shrink(psnr)

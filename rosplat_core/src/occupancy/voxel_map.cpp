@@ -6,6 +6,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "rosplat_core/slots/constants.hpp"
 #include "rosplat_core/threads/in_parts.hpp"
 
 namespace rosplat {
@@ -15,7 +16,6 @@ namespace {
 constexpr double kDepthUnit = 0x1p-24;
 constexpr double kAreaUnit = 0x1p-14;
 constexpr double kPi = 3.14159265358979323846;
-constexpr double kC0 = 0.28209479177387814;  // band 0 of spherical harmonics
 constexpr int kAxisBits = 21;
 constexpr std::int64_t kAxisOffset = std::int64_t{1} << (kAxisBits - 1);
 constexpr std::uint64_t kAxisMask = (std::uint64_t{1} << kAxisBits) - 1;
@@ -339,7 +339,7 @@ void VoxelMap::share(const Splat& splat, const Placement& in_grid, int sign, Sha
     Voxel& voxel = made.voxel;
     for (int i = 0, number = 0; i < 3; ++i) {
       voxel.depth[i] = toDepth(sign * weight * depth[i]);
-      const double color = std::clamp(0.5 + kC0 * splat.color[i], 0.0, 1.0);
+      const double color = std::clamp(0.5 + kShC0 * splat.color[i], 0.0, 1.0);
       voxel.color[i] = toArea(sign * weight * area * color);
       voxel.offset[i] = toArea(sign * area * offset[i]);
       for (int j = i; j < 3; ++j, ++number) {

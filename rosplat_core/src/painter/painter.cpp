@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <chrono>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -11,6 +10,7 @@
 #include <utility>
 
 #include "rosplat_core/painter/depth_warp.hpp"
+#include "rosplat_core/threads/clock.hpp"
 #include "rosplat_core/threads/give_way.hpp"
 
 namespace rosplat {
@@ -21,10 +21,6 @@ namespace {
 constexpr std::size_t kEditBytesPerPicture = std::size_t{256} << 20;
 constexpr double kFarthestAhead = 0.5;  // longest prediction of a camera's motion [s]
 constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
-
-double now() {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
 
 using Cover = PictureMesh::Cover;
 

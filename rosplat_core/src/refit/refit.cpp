@@ -21,8 +21,7 @@ namespace {
 constexpr std::size_t kPosition = 0, kScale = 3, kRotation = 6, kOpacity = 10, kHarmonics = 11;
 constexpr std::size_t kMostValues = kHarmonics + 48;
 constexpr std::size_t kChunk = 4096;  // splats that one thread projects at a time
-constexpr float kBand0 = 0.28209479f;
-constexpr float kMostLogit = 9.0f;  // keeps opacities where they still have a gradient
+constexpr float kMostLogit = 9.0f;    // keeps opacities where they still have a gradient
 
 cpu::FitTileFunction functionFor(CpuRasterizer::Instructions wanted) {
   switch (available(wanted)) {
@@ -39,7 +38,7 @@ cpu::FitTileFunction functionFor(CpuRasterizer::Instructions wanted) {
 
 // Harmonics of Kerbl et al. 2023 for a direction of length 1.
 void basisOf(int degree, float x, float y, float z, float* basis) {
-  basis[0] = kBand0;
+  basis[0] = float(kShC0);
   if (degree < 1) return;
   constexpr float k1 = 0.48860251f;
   basis[1] = -k1 * y, basis[2] = k1 * z, basis[3] = -k1 * x;

@@ -45,7 +45,9 @@ class WatchedFile:
         return _version(version.path) == version
 
     def _newest(self) -> Version | None:
-        paths = glob.glob(os.path.expanduser(self._pattern), recursive=True)
+        pattern = os.path.expanduser(self._pattern)
+        # A name may have brackets.
+        paths = [pattern] if os.path.exists(pattern) else glob.glob(pattern, recursive=True)
         found = [version for path in paths if (version := _version(Path(path)))]
         return max(found, key=lambda version: version.written, default=None)
 

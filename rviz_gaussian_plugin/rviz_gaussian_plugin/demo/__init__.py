@@ -6,5 +6,5 @@ from rosplat_tools.program.processes import run_module
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs publisher, sorter and viewer until the viewer ends; 1 where one of them can't."""
+    """Runs publisher and viewer until the viewer ends; 1 where one of them can't."""
     return run_module("demo", "rviz_gaussian_plugin.demo.command", arguments)

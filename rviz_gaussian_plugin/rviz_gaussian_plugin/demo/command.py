@@ -19,7 +19,7 @@ PROCEDURAL = "procedural:200000"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs publisher, sorter and viewer until the viewer ends; then ends all of them."""
+    """Runs publisher and viewer until the viewer ends; then ends both."""
     parser = argparse.ArgumentParser(prog="demo", description=__doc__)
     parser.add_argument(
         "scene", nargs="?", default=PROCEDURAL,
@@ -48,7 +48,6 @@ def main(arguments: list[str] | None = None) -> int:
         with Processes(options.out / "log") as processes:
             scene = f"path:={quoted(options.scene)}"
             processes.node("rosplat_tools", "ply_publisher", *remap, "-p", scene)
-            processes.node("rosplat_sorter", "sorter", *remap)
             if rviz:
                 from ament_index_python.packages import get_package_share_directory
 

@@ -93,15 +93,15 @@ def show_window(viewer: Viewer) -> None:
     )
     orbit, framed, said = _framed(viewer), False, 0.0
     shown: tuple[object, ...] = ()
-    camera, view_id = ViewCamera(), ""
+    camera, view_id, figures, closed = ViewCamera(), "", "", False
     try:
-        while viewer.context.ok():
+        while viewer.context.ok() and not closed:
             for event in pygame.event.get():
                 if event.type == pygame.QUIT or (
                     event.type == pygame.KEYDOWN and event.key in (pygame.K_q, pygame.K_ESCAPE)
                 ):
-                    return
-                if event.type == pygame.KEYDOWN and event.key == pygame.K_r:
+                    closed = True
+                elif event.type == pygame.KEYDOWN and event.key == pygame.K_r:
                     orbit = _framed(viewer)
                 elif event.type == pygame.MOUSEWHEEL:
                     orbit.zoom(0.9**event.y)
@@ -129,7 +129,8 @@ def show_window(viewer: Viewer) -> None:
             time.sleep(0.002)
     finally:
         pygame.display.quit()
-    say(figures)
+    if figures:
+        say(figures)
 
 
 def serve(viewer: Viewer) -> None:

@@ -93,7 +93,8 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
   order_ = choice<OrderSource>(
       "Order Source", "Auto",
       "Which depth order is drawn. Auto: the rasterizer's own. Sidecar: the sorter's, while it "
-      "answers. Off: the order of the slots, which shows what sorting is for.",
+      "answers. Built-in: that of a thread of rviz2, which may be late. Off: the order of the "
+      "slots, which shows what sorting is for.",
       display,
       {{"Auto", OrderSource::kAuto},
        {"Sidecar", OrderSource::kSidecar},

@@ -8,6 +8,7 @@
 
 #include "messages.hpp"
 #include "printable.hpp"
+#include "rosplat_core/threads/clock.hpp"
 #include "rosplat_tools/ros_versions.hpp"
 
 namespace rosplat {
@@ -31,10 +32,6 @@ rclcpp::QoS pickedQos() {
 }
 
 // Monotonic time. [s]
-double now() {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
-
 using Message = rosplat_msgs::msg::GaussianArray;
 
 MapPull<std::shared_ptr<const Message>>::Labelled labelled(std::shared_ptr<const Message> message) {

@@ -14,6 +14,7 @@
 #include <rviz_rendering/material_manager.hpp>
 #include <utility>
 
+#include "rosplat_core/slots/constants.hpp"
 #include "splat_outline.hpp"
 
 namespace rosplat {
@@ -24,7 +25,9 @@ using rviz_common::properties::Property;
 
 constexpr std::chrono::milliseconds kRefreshPeriod{250};  // of a map that changes all the time
 constexpr float kOutlineSigmas = 2;  // where a splat still has an eighth of its opacity
-constexpr float kBand0 = 0.28209479f;
+
+// Slots may be emptied while they are selected.
+bool inUse(const SplatValues& splat) { return splat.opacity > 0; }
 
 // Rounds to a unit, not to so many digits: coordinates far from the frame's origin stay whole.
 template <typename Values>
@@ -39,7 +42,7 @@ QString text(const Values& values, double unit) {
 QColor baseColour(const SplatValues& splat) {
   std::array<int, 3> rgb{};
   for (std::size_t i = 0; i < 3; ++i) {
-    rgb[i] = std::clamp(int(255 * (0.5f + kBand0 * splat.sh[i]) + 0.5f), 0, 255);
+    rgb[i] = std::clamp(int(255 * (0.5f + float(kShC0) * splat.sh[i]) + 0.5f), 0, 255);
   }
   return {rgb[0], rgb[1], rgb[2]};
 }
@@ -49,7 +52,7 @@ Property* describe(const SplatValues& splat, const std::vector<Channel>& channel
   const auto add = [parent](const QString& name, const QString& value, const char* description) {
     (new Property(name, value, description, parent))->setReadOnly(true);
   };
-  if (splat.opacity <= 0) {
+  if (!inUse(splat)) {
     parent->setValue("empty");
   } else {
     add("Position", text(splat.position, 1e-4), "Mean x; y; z in the map's frame. [m]");
@@ -108,7 +111,10 @@ void MapSelection::add(Pick::Slots picked) {
                  std::back_inserter(slots_));
   read();
   fresh.resize(std::min(fresh.size(), kListed));
-  if (!fresh.empty()) on_select_(cloud_.scene().readSlots(fresh));
+  // The map may have changed since the pick.
+  std::vector<SplatValues> selected = cloud_.scene().readSlots(fresh);
+  selected.erase(std::stable_partition(selected.begin(), selected.end(), inUse), selected.end());
+  if (!selected.empty()) on_select_(std::move(selected));
 }
 
 void MapSelection::remove(Pick::Slots picked) {
@@ -139,7 +145,8 @@ void MapSelection::read() {
   read_at_ = std::chrono::steady_clock::now();
   const auto end = slots_.begin() + std::ptrdiff_t(std::min(slots_.size(), kOutlined));
   splats_ = cloud_.scene().readSlots({slots_.begin(), end});
-  if (!splats_.empty()) origin_ = splats_.front().position;
+  const auto first = std::find_if(splats_.begin(), splats_.end(), inUse);
+  if (first != splats_.end()) origin_ = first->position;
   follow();
 }
 
@@ -164,7 +171,7 @@ void MapSelection::drawOutlines() {
   outlines_->begin(material_->getName(), Ogre::RenderOperation::OT_LINE_LIST,
                    material_->getGroup());
   for (const SplatValues& splat : splats_) {
-    if (splat.opacity <= 0) continue;
+    if (!inUse(splat)) continue;
     for (const Ogre::Vector3& end : outline(outlined(splat), kOutlineSigmas)) {
       outlines_->position(end);
       outlines_->colour(Ogre::ColourValue(0, 1, 1));
@@ -190,7 +197,7 @@ std::vector<Ogre::AxisAlignedBox> MapSelection::boxes() const {
   const Ogre::Affine3 map(outline_node_->_getFullTransform());
   std::vector<Ogre::AxisAlignedBox> boxes;
   for (const SplatValues& splat : splats_) {
-    boxes.push_back(boxAround(outlined(splat), kOutlineSigmas, map));
+    if (inUse(splat)) boxes.push_back(boxAround(outlined(splat), kOutlineSigmas, map));
   }
   return boxes;
 }

@@ -14,11 +14,13 @@ namespace rosplat {
 QString sceneIn(const QMimeData& data) {
   for (const QUrl& url : data.urls()) {
     const QFileInfo file(url.toLocalFile());
-    const QString suffix = file.suffix().toLower();
-    const QStringList scenes = {"ply",  "spz", "sog",  "splat", "ksplat", "glb",
-                                "gltf", "usd", "usda", "usdc",  "usdz"};
+    const QStringList suffixes = {"ply", "spz",  "sog", "splat", "ksplat", "npz",
+                                  "glb", "gltf", "usd", "usda",  "usdc",   "usdz"};
+    const QStringList metas = {"meta.json", "lod-meta.json"};
+    const bool folder = file.isDir() && (QDir(file.filePath()).exists(metas[0]) ||
+                                         QDir(file.filePath()).exists(metas[1]));
     const bool scene =
-        file.isDir() ? QDir(file.filePath()).exists("meta.json") : scenes.contains(suffix);
+        folder || suffixes.contains(file.suffix().toLower()) || metas.contains(file.fileName());
     if (scene) return file.filePath();
   }
   return {};

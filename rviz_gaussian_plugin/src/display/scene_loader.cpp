@@ -154,7 +154,12 @@ void SceneLoader::readPublisher() {
     // The result begins with the path. If the process has ended, the last line is the reason.
     if (status_.rfind(path_ + ":", 0) == 0) report(status_, ended);
   }
-  if (ended && !failed_) report(status_, true);
+  if (!ended || failed_) return;
+  if (process_->error() == QProcess::FailedToStart) {
+    report(process_->errorString().toStdString(), true);
+  } else {
+    report(loading_ ? status_ : "the publisher of " + path_ + " has ended", true);
+  }
 }
 
 const std::string& SceneLoader::status() {

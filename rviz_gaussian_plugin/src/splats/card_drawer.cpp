@@ -1,7 +1,8 @@
 #include "card_drawer.hpp"
 
-#include <chrono>
 #include <utility>
+
+#include "rosplat_core/threads/clock.hpp"
 
 namespace rosplat {
 
@@ -9,10 +10,6 @@ namespace {
 
 // The most that a frame uploads, so that a map that streams in doesn't stop the picture. [bytes]
 constexpr std::size_t kUploadBytesPerFrame = 16u << 20;
-
-double now() {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
 
 }  // namespace
 

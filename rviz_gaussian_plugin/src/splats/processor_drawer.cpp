@@ -1,18 +1,11 @@
 #include "processor_drawer.hpp"
 
-#include <chrono>
 #include <cmath>
 #include <utility>
 
+#include "rosplat_core/threads/clock.hpp"
+
 namespace rosplat {
-
-namespace {
-
-double now() {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
-
-}  // namespace
 
 ProcessorDrawer::ProcessorDrawer(std::shared_ptr<SoftwareRenderer> renderer,
                                  const Arrivals::Taker& taker)

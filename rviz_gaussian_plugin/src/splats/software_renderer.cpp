@@ -1,20 +1,17 @@
 #include "software_renderer.hpp"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <limits>
 #include <utility>
+
+#include "rosplat_core/threads/clock.hpp"
 
 namespace rosplat {
 
 namespace {
 
 constexpr float kSurfaceAlpha = 0.5f;  // splats cover at least half of the pixel
-
-double now() {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
 
 bool same(const MapState& a, const MapState& b) { return a.edits == b.edits && a.torn == b.torn; }
 

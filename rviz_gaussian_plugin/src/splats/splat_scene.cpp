@@ -1,9 +1,9 @@
 #include "splat_scene.hpp"
 
 #include <algorithm>
-#include <chrono>
 #include <new>
 
+#include "rosplat_core/threads/clock.hpp"
 #include "rosplat_core/views/hard_regimes.hpp"
 
 namespace rosplat {
@@ -13,10 +13,6 @@ namespace {
 constexpr std::size_t kMostOrders = 64;  // waiting orders, the newest of each view
 // The view of the mouse tools, which is not published to sidecars.
 constexpr const char* kSurfaceView = "surface";
-
-double now() {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
 
 bool same(const MapState& a, const MapState& b) {
   return a.edits == b.edits && a.pulled == b.pulled;

@@ -25,6 +25,8 @@ enum ChannelKind { kNoColours, kGradient, kCategories };
 
 constexpr std::uint32_t kPageSlots = 1024;  // kept together; as GaussianArray.SLOTS_PER_BLOCK
 
+constexpr double kShC0 = 0.28209479177387814;  // band 0 of spherical harmonics
+
 constexpr float kLowPass = 0.3f;  // [px^2], part of the trained model
 constexpr float kCutoffAlpha = 1.0f / 255.0f;
 constexpr float kLog2Cutoff = -7.99435344f;  // log2(kCutoffAlpha)

@@ -36,9 +36,8 @@ class RadixSort {
   const gl::Buffer& values(int bits, const gl::Buffer& sorted) const {
     return passes(bits) % 2 == 0 ? sorted : values_;
   }
-  // Free for other use between sorts; spareValues() only while it isn't values().
+  // Free for other use between sorts.
   const gl::Buffer& spareKeys() const { return next_keys_; }
-  const gl::Buffer& spareValues() const { return values_; }
 
   // Sorts by the lowest `bits` bits, one at least, of the keys' distances from the first word of
   // `least`: keys() in place, values() to `sorted`.
