@@ -394,7 +394,7 @@ def test_a_renderer_that_sorts_itself_asks_no_sorter(
     publisher = MapPublisher(node)
     publisher.replace(discs((RED, 2.0)))
     namespace = f"__ns:={node.get_namespace()}"
-    rclpy.init(args=["--ros-args", "-r", namespace, "-p", "order_source:=gpu"])
+    rclpy.init(args=["--ros-args", "-r", namespace, "-p", "order_source:=auto"])
     viewer = Viewer()
     viewer.renderer.settings.rasterizer = Rasterizer.TILES
     try:
@@ -411,7 +411,7 @@ def test_a_renderer_that_sorts_itself_asks_no_sorter(
             assert [view.view_id for view in views] == [view_id]  # and before it none
             assert views[0].sequence > 0
             # Who hears views and sorts nothing is told of them all the same.
-            viewer.renderer.settings.order = ORDER_SOURCES["gpu"]
+            viewer.renderer.settings.order = ORDER_SOURCES["auto"]
             node.destroy_publisher(sorter)
             listener.wait(lambda: not viewer.count_publishers("gaussians/order"))
             views.clear()

@@ -133,8 +133,8 @@ bool TileRasterizer::checkRoom(const Wanted& wanted, double growth) {
   return true;
 }
 
-// Has pictures be listed in so many times as many regions, or more. Returns false if there are no
-// smaller ones.
+// From now on, lists pictures in so many times as many regions, or more. Returns false if there are
+// no smaller ones.
 bool TileRasterizer::useMoreRegions(std::size_t times) {
   const std::size_t most = std::size_t{1} << mostHalvings();
   if (regions_ == most) return false;
@@ -187,7 +187,7 @@ void TileRasterizer::reserve(std::size_t splats) {
   room_.macro_pairs = std::min(std::max(room_.macro_pairs, splats), most_.macro_pairs);
   reserveMost(room_.macro_pairs, most_.macro_pairs, [&] {
     const std::size_t blocks = room_.macro_pairs / kBlockSplats + 1;
-    sort_.reserve(blocks * kBlockSplats);
+    sort_.reserve(std::max(blocks * kBlockSplats, splats));  // boxes of all are put in order there
     reserve(splats_, room_.macro_pairs * sizeof(GLuint));
     places_.reserve((blocks + macroTiles()) * kMacroColumns * kMacroRows * sizeof(GLuint));
   });
