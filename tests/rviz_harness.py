@@ -235,6 +235,7 @@ class World:
 
     def close(self) -> None:
         """Takes all of it away."""
+        self.map.close()
         self.node.destroy_node()
 
     def place(

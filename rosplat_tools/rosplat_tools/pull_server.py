@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 import rclpy
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -18,10 +19,11 @@ from rosplat_sorter.spinning import spin_until
 Serve = Callable[[PullMap.Request, PullMap.Response], PullMap.Response]
 
 PATIENCE = 5.0  # for the thread to end [s]
+LOOK = 0.5  # from one look at the author's node to the next [s]
 
 
 class PullServer:
-    """Answers a map's pulls in a thread of its own, until it is closed or ROS ends.
+    """Answers a map's pulls in a thread of its own, until it is closed, or its node or ROS ends.
 
     The thread reports the publisher's diagnostics, too. rclpy's executors take whole nodes, so
     the thread has a hidden node beside the publisher's.
@@ -38,12 +40,21 @@ class PullServer:
         )
         self._node.create_service(PullMap, f"{topic}/pull", serve)
         self._diagnostics = Diagnostics(node, topic, report, spun=self._node)
+        self._author = node
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._node.create_timer(LOOK, self._end_with_author, clock=steady)
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(self._node)
         self._ended = threading.Event()
         self._ending = self._node.create_guard_condition(self._ended.set)
         self._thread = threading.Thread(target=self._run, name=topic, daemon=True)
         self._thread.start()
+
+    def _end_with_author(self) -> None:
+        try:
+            self._author.get_name()
+        except InvalidHandle:  # its node was destroyed
+            self._ended.set()
 
     def _run(self) -> None:
         try:

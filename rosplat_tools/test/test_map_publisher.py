@@ -728,6 +728,20 @@ def test_a_publisher_ends_with_its_block(node: Node, random_splats: Maker) -> No
     assert kept() is None  # nor does the node hold the map any longer
 
 
+def test_a_map_is_not_pulled_once_its_node_is_destroyed(node: Node, random_splats: Maker) -> None:
+    author = rclpy.create_node("author", context=node.context)
+    publisher = MapPublisher(author, topic="/authors_map")  # which nobody closes
+    publisher.replace(random_splats(10))
+    client = node.create_client(PullMap, "/authors_map/pull")
+    assert client.wait_for_service(30.0)
+    author.destroy_node()
+    deadline = time.monotonic() + PATIENCE
+    while client.service_is_ready():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    publisher.close()
+
+
 def test_a_map_may_go_on_in_its_author_s_arrays(node: Node, random_splats: Maker) -> None:
     splats = random_splats(3000)
     splats = replace(splats, channels={"label": np.arange(3000)})
