@@ -12,6 +12,7 @@ VECTORS = 64  # sampled for each centre that k-means finds
 LEAF = 512  # centres that k-means finds at a time; for more, it first makes groups
 GROUPS = 64  # of vectors, which are then handled one by one
 ROUNDS = 8
+SIZE = 256  # of a codebook: SOG has bytes
 MOST_OCTAVES = 58  # of a vector's numbers, so that float32 holds the sum of their squares
 # Multiplications of a matrix product that OpenBLAS leaves to one thread: waking others takes longer
 # than the many small products here.
@@ -20,17 +21,17 @@ SMALL_PRODUCT = 1 << 18
 _Labels = NDArray[np.intp]
 
 
-def codebook(values: Floats, size: int = 256) -> NDArray[np.float32]:
-    """(size,) ascending values for any number of values, by Lloyd's iteration (1982)."""
+def codebook(values: Floats) -> NDArray[np.float32]:
+    """(256,) ascending values for any number of values, by Lloyd's iteration (1982)."""
     flat = values.reshape(-1)
     if not len(flat):
-        return np.zeros(size, np.float32)
+        return np.zeros(SIZE, np.float32)
     sample = np.sort(flat[:: -(-len(flat) // SAMPLE)]).astype(np.float64)
     # A few values are best spread by the cube root of the density (Panter and Dite 1951).
-    counts, edges = np.histogram(sample, size)
+    counts, edges = np.histogram(sample, SIZE)
     shares = np.concatenate([[0], np.cumsum(np.cbrt(counts))])
     book: NDArray[np.float64] = np.interp(
-        (np.arange(size) + 0.5) / size * shares[-1], shares, edges
+        (np.arange(SIZE) + 0.5) / SIZE * shares[-1], shares, edges
     )
     sums = np.concatenate([[0], np.cumsum(sample)])
     for _ in range(ROUNDS):

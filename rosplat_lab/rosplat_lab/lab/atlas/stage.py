@@ -34,11 +34,10 @@ class Stage:
         self.display = DisplayRenderer()
         self.graphics = self.display.device
 
-    def some(self, values: Sequence[float], count: int = 3) -> list[float]:
-        """All values, or in quick runs a few, ends included."""
-        if not self.quick or len(values) <= count:
-            return list(values)
-        return [values[round(i * (len(values) - 1) / (count - 1))] for i in range(count)]
+    def some(self, values: Sequence[float]) -> list[float]:
+        """All values, or in quick runs three, ends included."""
+        middle = values[round((len(values) - 1) / 2)]
+        return [values[0], middle, values[-1]] if self.quick else list(values)
 
     def shown(
         self, splats: Splats, camera: Camera, by: str, order: Order | None = None, **settings: Any
