@@ -22,44 +22,37 @@ void forEach(const Shown& shown, const PageShelf& shelf, const Take& take) {
 
 void PageTable::keep(const Frame& frame, const std::vector<std::vector<SeenGroup>>& groups) {
   first_slots_.clear();
-  kept_.clear();
   ranges_.clear();
   layer_begins_.clear();
+  for (std::vector<Entry>& of_arena : of_arenas_) of_arena.clear();
   std::size_t first_group = 0;
   for (std::size_t layer = 0; layer < frame.layers.size(); ++layer) {
+    layer_begins_.push_back(first_slots_.size());
+    const std::size_t first_arena = ranges_.size();
     const auto add = [&](const std::vector<SlotArenas::Arena>& arenas) {
       for (const SlotArenas::Arena& arena : arenas) ranges_.push_back({&arena, layer, 0, 0});
     };
-    layer_begins_.push_back(kept_.size());
-    const std::size_t first_arena = ranges_.size();
     add(frame.layers[layer].store.arenas());
     if (frame.layers[layer].cuts()) add(frame.layers[layer].nodes->arenas());
+    of_arenas_.resize(std::max(of_arenas_.size(), ranges_.size()));
     keep(frame.layers[layer], groups[layer], first_arena, first_group);
     first_group += groups[layer].size();
   }
-  layer_begins_.push_back(kept_.size());
+  layer_begins_.push_back(first_slots_.size());
 
-  // Orders the pages by arena: counts those of each arena, then finds where the next one goes.
-  for (const Kept& page : kept_) ++ranges_[page.place.arena].count;
-  std::vector<std::size_t> next;
-  std::size_t first = 0;
-  for (Range& range : ranges_) {
-    range.first = first;
-    next.push_back(first);
-    first += range.count;
-  }
-  entries_.resize(kept_.size());
-  for (std::size_t number = 0; number < kept_.size(); ++number) {
-    const Kept& page = kept_[number];
-    entries_[next[page.place.arena]++] = {static_cast<std::uint32_t>(number), page.place.page,
-                                          page.group, page.level};
+  entries_.clear();
+  for (std::size_t arena = 0; arena < ranges_.size(); ++arena) {
+    const std::vector<Entry>& of_arena = of_arenas_[arena];
+    ranges_[arena].first = entries_.size();
+    ranges_[arena].count = of_arena.size();
+    entries_.insert(entries_.end(), of_arena.begin(), of_arena.end());
   }
   ranges_.erase(std::remove_if(ranges_.begin(), ranges_.end(),
                                [](const Range& range) { return range.count == 0; }),
                 ranges_.end());
   if (entries_ == uploaded_ || entries_.empty()) return;
   table_.upload(entries_);
-  uploaded_ = entries_;
+  entries_.swap(uploaded_);
 }
 
 void PageTable::keep(const FrameLayer& layer, const std::vector<SeenGroup>& groups,
@@ -67,9 +60,10 @@ void PageTable::keep(const FrameLayer& layer, const std::vector<SeenGroup>& grou
   const SlotStore& store = layer.store;
   const auto keep = [&](const PageShelf& shelf, std::size_t i, SlotArenas::Place place,
                         std::size_t arenas, std::uint32_t level) {
-    place.arena += static_cast<std::uint32_t>(arenas);
+    of_arenas_[arenas + place.arena].push_back(
+        {static_cast<std::uint32_t>(first_slots_.size()), place.page,
+         static_cast<std::uint32_t>(first_group + shelf.bounds.group), level});
     first_slots_.push_back(shelf.first_slots[i]);
-    kept_.push_back({place, static_cast<std::uint32_t>(first_group + shelf.bounds.group), level});
   };
   std::vector<Cut> cuts;
   for (std::size_t group = 0; layer.cuts() && group < groups.size(); ++group) {

@@ -49,20 +49,14 @@ class PageTable {
       return number == o.number && page == o.page && group == o.group && level == o.level;
     }
   };
-  // place: the page's arena among those of all layers, and its place in that.
-  struct Kept {
-    SlotArenas::Place place;
-    std::uint32_t group, level;
-  };
-
   // first_arena, first_group: those of the layer, among the arenas and groups of all layers.
   void keep(const FrameLayer& layer, const std::vector<SeenGroup>& groups, std::size_t first_arena,
             std::size_t first_group);
 
   std::vector<std::uint32_t> first_slots_;
   std::vector<std::size_t> layer_begins_;
-  std::vector<Kept> kept_;  // by number
   std::vector<Range> ranges_;
+  std::vector<std::vector<Entry>> of_arenas_;  // of all layers
   std::vector<Entry> entries_, uploaded_;
   gl::Buffer table_;
 };
