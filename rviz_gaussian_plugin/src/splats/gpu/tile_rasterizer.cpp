@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <initializer_list>
-#include <utility>
 #include <vector>
 
 namespace rosplat {
@@ -32,9 +31,6 @@ TileRasterizer::Wanted mostRoom() {
   return {std::min(std::size_t{1} << 26, words / 2), std::min(std::size_t{1} << 28, words),
           std::min(kMostSegments, gl::largestStorageBuffer() / kPartialBytes)};
 }
-
-// Returns how often a number of rows or columns can be halved until each is alone.
-int halvings(int count) { return bitsOf(static_cast<std::size_t>(count) - 1); }
 
 // Returns the program that blends tiles. of: the files that say what kinds of splats it blends.
 const gl::Program& blender(Shaders& shaders, std::initializer_list<const char*> of) {
@@ -83,20 +79,18 @@ TileRasterizer::TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies&
 void TileRasterizer::list(const OrderedSplats& splats, int width, int height, std::size_t region,
                           gl::Stopwatch& stopwatch) {
   if (patience_ > 0 && --patience_ == 0) most_ = mostRoom();
-  if (region == 0 && std::exchange(halves_fit_, false)) regions_ /= 2;
   width_ = width;
   height_ = height;
-  regions_ = std::min(regions_, std::size_t{1} << mostHalvings());
-  number_ = region;
-  region_ = regionOf(region);
   listed_ = false;
+  regions_.begin(region, macroColumns(), macroRows());
   reserve(splats.most());
-  if (regions_ > 1) gl::storageBarrier();  // the region before may still read what this one writes
+  if (regions_.count() > 1)
+    gl::storageBarrier();  // the region before may still read what this one writes
   listMacroPairs(splats);
   stopwatch.lap("list");
   listByTiles(splats);
   stopwatch.lap("bin");
-  listed_ = regions_ == 1;
+  listed_ = regions_.count() == 1;
 }
 
 bool TileRasterizer::checkRoom(const Wanted& wanted, double growth) {
@@ -105,7 +99,10 @@ bool TileRasterizer::checkRoom(const Wanted& wanted, double growth) {
   };
   const std::size_t times =
       1 + std::max(wanted.macro_pairs / (most_.macro_pairs + 1), wanted.pairs / (most_.pairs + 1));
-  if (times > 1 && useMoreRegions(times)) return false;
+  if (times > 1 && regions_.split(times)) {
+    listed_ = false;
+    return false;
+  }
   const Wanted needed{std::min(wanted.macro_pairs, most_.macro_pairs),
                       std::min(wanted.pairs, most_.pairs),
                       std::min(wanted.segments, most_.segments)};
@@ -120,47 +117,14 @@ bool TileRasterizer::checkRoom(const Wanted& wanted, double growth) {
   adapt(room_.pairs, pairs_used_, needed.pairs, most_.pairs, 0);
   adapt(room_.segments, segments_used_, needed.segments, most_.segments, kFewSegments);
   listed_ = listed_ && enough;
-  if (regions_ == 1 || !enough) return enough;
-  // Once all neighbours would find room together, the next picture takes half as many regions.
-  if (number_ % 2 == 0) {
+  if (!enough) return false;
+  if (regions_.number() % 2 == 0) {
     even_ = wanted;
-    halves_fit_ = number_ == 0 || halves_fit_;
-  } else {
-    const auto withRoom = [](std::size_t a, std::size_t b) { return withSlack(a + b); };
-    halves_fit_ = halves_fit_ && fits(withRoom(even_.macro_pairs, wanted.macro_pairs),
-                                      withRoom(even_.pairs, wanted.pairs));
+  } else if (fits(withSlack(even_.macro_pairs + wanted.macro_pairs),
+                  withSlack(even_.pairs + wanted.pairs))) {
+    regions_.noteFit();
   }
   return true;
-}
-
-// From now on, lists pictures in so many times as many regions, or more. Returns false if there are
-// no smaller ones.
-bool TileRasterizer::useMoreRegions(std::size_t times) {
-  const std::size_t most = std::size_t{1} << mostHalvings();
-  if (regions_ == most) return false;
-  while (times > 1 && regions_ < most) {
-    regions_ *= 2;
-    times = (times + 1) / 2;
-  }
-  listed_ = halves_fit_ = false;
-  return true;
-}
-
-int TileRasterizer::mostHalvings() const {
-  return halvings(macroRows()) + halvings(macroColumns());
-}
-
-// Halves rows of macro tiles until each is alone, then columns. So each region is half of one of
-// half as many regions.
-std::array<GLint, 4> TileRasterizer::regionOf(std::size_t number) const {
-  const int all = bitsOf(regions_) - 1, rows = std::min(all, halvings(macroRows()));
-  const int columns = all - rows;
-  const auto cut = [](int count, std::size_t part, int halved) {
-    return static_cast<GLint>(static_cast<std::size_t>(count) * part >> halved);
-  };
-  const std::size_t row = number >> columns, column = number - (row << columns);
-  return {cut(macroColumns(), column, columns), cut(macroRows(), row, rows),
-          cut(macroColumns(), column + 1, columns), cut(macroRows(), row + 1, rows)};
 }
 
 void TileRasterizer::reserve(std::size_t splats) {
@@ -213,7 +177,7 @@ void TileRasterizer::listMacroPairs(const OrderedSplats& splats) {
   count_.bind("OrderedBoxes", sort_.spareKeys());
   count_.bind("Counts", counts_);
   count_.bind("Length", splats.tally().words());
-  count_.set("region", region_);
+  count_.set("region", regions_.region());
   splats.tally().dispatchGroups();
   gl::storageBarrier();
   prefix_sum_.run(counts_, splats.tally(), macro_pair_count_, room_.macro_pairs, kListed);
@@ -226,7 +190,7 @@ void TileRasterizer::listMacroPairs(const OrderedSplats& splats) {
   list_macros_.bind("MacroPairs", macro_pair_count_.words());
   list_macros_.bind("Keys", sort_.keys());
   list_macros_.bind("Splats", sort_.values(bits, splats_));
-  list_macros_.set("region", region_);
+  list_macros_.set("region", regions_.region());
   splats.tally().dispatchGroups();
   gl::storageBarrier();
 }
@@ -324,12 +288,13 @@ void TileRasterizer::blendTiles(const gl::Program& program, const OrderedSplats&
 void TileRasterizer::dispatchTiles(const gl::Program& program) const {
   program.bind("Listed", listed_splats_);
   program.bind("Lists", lists_);
-  program.set("region", region_);
+  const PictureRegions::Region& region = regions_.region();
+  program.set("region", region);
   const auto tilesAcross = [](GLint first, GLint last, int each, int tiles) {
     return static_cast<std::size_t>(std::min(last * each, tiles) - first * each);
   };
-  gl::dispatch(tilesAcross(region_[0], region_[2], kMacroColumns, tilesIn(width_)) *
-               tilesAcross(region_[1], region_[3], kMacroRows, tilesIn(height_)));
+  gl::dispatch(tilesAcross(region[0], region[2], kMacroColumns, tilesIn(width_)) *
+               tilesAcross(region[1], region[3], kMacroRows, tilesIn(height_)));
 }
 
 int TileRasterizer::macroColumns() const {

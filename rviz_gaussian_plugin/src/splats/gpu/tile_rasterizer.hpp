@@ -1,12 +1,12 @@
 #pragma once
 
-#include <array>
 #include <cstddef>
 
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
 #include "gpu/group_sums.hpp"
 #include "gpu/ordered_splats.hpp"
+#include "gpu/picture_regions.hpp"
 #include "gpu/radix_sort.hpp"
 #include "gpu/tally.hpp"
 
@@ -26,7 +26,7 @@ class TileRasterizer {
             gl::Stopwatch& stopwatch);
   // How many regions a picture is listed in, one after the other: one, if there is room for its
   // lists.
-  std::size_t regions() const { return regions_; }
+  std::size_t regions() const { return regions_.count(); }
   // Whether the last lists are those of a whole picture of this size.
   bool listed(int width, int height) const {
     return listed_ && width_ == width && height_ == height;
@@ -63,9 +63,6 @@ class TileRasterizer {
   int macroColumns() const;
   int macroRows() const;
   int macroBits() const;
-  int mostHalvings() const;
-  std::array<GLint, 4> regionOf(std::size_t number) const;
-  bool useMoreRegions(std::size_t times);
 
   void reserve(std::size_t splats);
   void listMacroPairs(const OrderedSplats& splats);
@@ -93,11 +90,8 @@ class TileRasterizer {
   int patience_ = 0;            // lists until memory that was lacking is tried again
   int width_ = 0, height_ = 0;  // of the picture that is listed [px]
   bool listed_ = false;
-  std::size_t regions_ = 1;        // a power of two
-  std::size_t number_ = 0;         // of the listed region
-  std::array<GLint, 4> region_{};  // as splat_tiles.glsl has it
-  Wanted even_{};                  // of the last region with an even number
-  bool halves_fit_ = false;        // half as many regions would do, as far as is known
+  PictureRegions regions_;
+  Wanted even_{};  // of the last region with an even number
 };
 
 }  // namespace rosplat
