@@ -78,13 +78,18 @@ ShaderSource shaders(const Fault& fault = {}) {
 // A framebuffer as a window may have one, with an opaque scene at a depth.
 class Framebuffer {
  public:
-  Framebuffer(GLenum depth_format, int samples, float depth) {
+  Framebuffer(GLenum depth_format, int samples, float depth, int size = kSize) {
     glGenFramebuffers(1, &id_);
     glGenRenderbuffers(2, buffers_.data());
     glBindFramebuffer(GL_FRAMEBUFFER, id_);
-    attach(0, GL_RGBA8, GL_COLOR_ATTACHMENT0, samples);
-    if (depth_format) attach(1, depth_format, GL_DEPTH_ATTACHMENT, samples);
-    glViewport(0, 0, kSize, kSize);
+    const auto attach = [&](std::size_t i, GLenum format, GLenum where) {
+      glBindRenderbuffer(GL_RENDERBUFFER, buffers_[i]);
+      glRenderbufferStorageMultisample(GL_RENDERBUFFER, samples, format, size, size);
+      glFramebufferRenderbuffer(GL_FRAMEBUFFER, where, GL_RENDERBUFFER, buffers_[i]);
+    };
+    attach(0, GL_RGBA8, GL_COLOR_ATTACHMENT0);
+    if (depth_format) attach(1, depth_format, GL_DEPTH_ATTACHMENT);
+    glViewport(0, 0, size, size);
     glClearColor(0, 0, 0, 0);
     glClearDepth(depth);
     glDepthMask(GL_TRUE);
@@ -98,12 +103,6 @@ class Framebuffer {
   Framebuffer& operator=(const Framebuffer&) = delete;
 
  private:
-  void attach(std::size_t i, GLenum format, GLenum where, int samples) {
-    glBindRenderbuffer(GL_RENDERBUFFER, buffers_[i]);
-    glRenderbufferStorageMultisample(GL_RENDERBUFFER, samples, format, kSize, kSize);
-    glFramebufferRenderbuffer(GL_FRAMEBUFFER, where, GL_RENDERBUFFER, buffers_[i]);
-  }
-
   GLuint id_ = 0;
   std::array<GLuint, 2> buffers_{};
 };
@@ -117,7 +116,6 @@ SplatCamera camera() {
   return camera;
 }
 
-// What a depth buffer holds at a distance.
 // The same of four times as many pixels across and down, so that there are several macro tiles.
 SplatCamera largeCamera() {
   SplatCamera large = makeCamera({0, 0, 0}, {0, 0, 0, 1}, false, 160, 160, 128, 128, 4 * kSize,
@@ -127,6 +125,7 @@ SplatCamera largeCamera() {
   return large;
 }
 
+// What a depth buffer holds at a distance.
 float windowDepth(double z) {
   return static_cast<float>(0.5 + 0.5 * (camera().ndc_scale + camera().ndc_offset / z));
 }
@@ -720,6 +719,7 @@ TEST_F(SplatRendererTest, DrawsInRegionsWhereListsAreTooMuch) {
   const Disguise disguise(static_cast<GLint64>(kSplats / 4 * Shaders::kEllipseBytes), 0);
   SplatScene scene(shaders());
   scene.apply(manySplats(0.08f).batch(1, {}));
+  picture(scene, Rasterizer::kTiles, OrderSource::kAuto);  // what isn't called yet isn't counted
   RenderSettings settings;
   settings.rasterizer = Rasterizer::kTiles;
   std::uint64_t sequence = 0;
@@ -1380,6 +1380,55 @@ TEST_F(SplatRendererTest, IsDestroyedInAnotherContextWithoutHarmToEither) {
   EXPECT_EQ(buffers(), drawn);
   gl::deleteAbandoned();
   EXPECT_EQ(buffers(), before);
+}
+
+// Whatever is drawn, and however.
+TEST_F(SplatRendererTest, DrawsAllTheSameInRegions) {
+  Splats splats = manySplats(0.2f);
+  addWall(splats, 3000, 0);
+  const OwnedBatch batch = splats.batch(1, {});
+  std::vector<RenderSettings> settings(5);
+  settings[1].mode = DrawMode::kGaussianBall;
+  settings[2].mode = DrawMode::kDepth;  // coloured by the depths of all
+  settings[3].order = OrderSource::kBuiltIn;
+  settings[4].detail = parseDetail("3px");
+  const auto pictures = [&](SplatScene& scene) {
+    std::vector<std::vector<float>> drawn;
+    for (RenderSettings each : settings) {
+      each.rasterizer = Rasterizer::kTiles;
+      each.float_blending = true;
+      scene.setCamera("view", 1, largeCamera());
+      for (const bool divided : {false, true}) {
+        Surroundings around;
+        if (divided) {
+          around.translucent = [] {  // a wall in their middle
+            const GLfloat depth = windowDepth(9);
+            glDepthMask(GL_TRUE);
+            glClearBufferfv(GL_DEPTH, 0, &depth);
+          };
+        }
+        const Framebuffer window(GL_DEPTH24_STENCIL8, 0, 1, 4 * kSize);
+        scene.draw("view", each, Canvas::kWindow, true, around);
+        drawn.push_back(scene.readColor());
+        const std::vector<float> depths = scene.readDepth();
+        drawn.emplace_back();
+        std::remove_copy_if(depths.begin(), depths.end(), std::back_inserter(drawn.back()),
+                            [](float depth) { return std::isnan(depth); });
+      }
+    }
+    return drawn;
+  };
+  SplatScene whole(shaders());
+  whole.apply(batch);
+  const auto expected = pictures(whole);
+  EXPECT_NE(expected[2], expected[0]);  // divided
+  // One that leaves no room for the lists of all tiles.
+  const Disguise disguise(static_cast<GLint64>(kSplats / 2 * Shaders::kEllipseBytes), 0);
+  SplatScene scene(shaders());
+  scene.apply(batch);
+  const auto found = pictures(scene);
+  for (std::size_t i = 0; i < expected.size(); ++i) EXPECT_EQ(found[i], expected[i]) << i;
+  EXPECT_LT(scene.bytes().shared_gpu, whole.bytes().shared_gpu);
 }
 
 TEST_F(SplatRendererTest, DrawsTheCutOfTheProcessor) {
