@@ -33,7 +33,6 @@ from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
 from rosplat_sorter.batches import array_bytes
-from rosplat_sorter.diagnostics import PERIOD
 from rosplat_sorter.qos import MAP_VOLATILE, PULLED_MAP
 from rosplat_testing import PATIENCE, Listener
 from rosplat_testing.messages import chunks
@@ -734,7 +733,10 @@ def test_a_map_is_not_pulled_once_its_node_is_destroyed(node: Node, random_splat
     publisher.replace(random_splats(10))
     client = node.create_client(PullMap, "/authors_map/pull")
     assert client.wait_for_service(30.0)
+    (thread,) = [each for each in threading.enumerate() if each.name == "/authors_map"]
     author.destroy_node()
+    thread.join(PATIENCE)
+    assert not thread.is_alive()
     deadline = time.monotonic() + PATIENCE
     while client.service_is_ready():
         assert time.monotonic() < deadline
@@ -874,14 +876,3 @@ def test_a_parameter_overrides_qos_of_each_publisher_in_turn(random_splats: Make
     assert PULLED_MAP.reliability == ReliabilityPolicy.RELIABLE
     node.destroy_node()
     context.try_shutdown()
-
-
-def test_a_node_that_ends_before_its_publisher_ends_no_thread(node: Node) -> None:
-    own = rclpy.create_node("gone", namespace=node.get_namespace(), context=node.context)
-    publisher = MapPublisher(own)
-    (thread,) = [t for t in threading.enumerate() if t.name == own.resolve_topic_name("gaussians")]
-    own.destroy_node()
-    time.sleep(2 * PERIOD)
-    assert thread.is_alive()
-    publisher.close()
-    assert not thread.is_alive()
