@@ -31,7 +31,6 @@ rclcpp::QoS pickedQos() {
   return rclcpp::QoS(rclcpp::KeepLast(100)).reliable().durability_volatile();
 }
 
-// Monotonic time. [s]
 using Message = rosplat_msgs::msg::GaussianArray;
 
 MapPull<std::shared_ptr<const Message>>::Labelled labelled(std::shared_ptr<const Message> message) {

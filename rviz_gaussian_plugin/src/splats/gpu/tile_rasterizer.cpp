@@ -84,8 +84,8 @@ void TileRasterizer::list(const OrderedSplats& splats, int width, int height, st
   listed_ = false;
   regions_.begin(region, macroColumns(), macroRows());
   reserve(splats.most());
-  if (regions_.count() > 1)
-    gl::storageBarrier();  // the region before may still read what this one writes
+  // The region before may still read what this one writes.
+  if (regions_.count() > 1) gl::storageBarrier();
   listMacroPairs(splats);
   stopwatch.lap("list");
   listByTiles(splats);
