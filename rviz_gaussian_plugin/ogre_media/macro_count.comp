@@ -4,21 +4,34 @@
 layout(local_size_x = 256) in;
 layout(std430) readonly buffer Drawn { uint drawn[]; };
 layout(std430) readonly buffer Boxes { uint boxes[]; };
+layout(std430) readonly buffer DrawnTally { Tally drawn_tally; };
 layout(std430) writeonly buffer OrderedBoxes { uint ordered_boxes[]; };
-layout(std430) writeonly buffer Counts { uint counts[]; };
-layout(std430) readonly buffer Length { Tally drawn_tally; };
+layout(std430) writeonly buffer MacroPairs { Tally macro_pairs; };
+layout(std430) writeonly buffer Wanted { uint wanted_splats, wanted_segments; };  // of tile_places.comp
 
-shared uint sums[256u / kListed];
+const uint kParts = 256u / kListed;
+
+shared uint pairs[kParts];
 
 void main() {
-  uint i = invocation(), part = gl_LocalInvocationIndex / kListed;
-  if (gl_LocalInvocationIndex < 256u / kListed) sums[gl_LocalInvocationIndex] = 0u;
-  barrier();
-  if (i < drawn_tally.count) {
-    uint index = drawn[i], box = index == kNone ? 0u : boxes[index];
-    ordered_boxes[i] = box;
-    atomicAdd(sums[part], countOf(touchedBy(index, box)));
+  uint local = gl_LocalInvocationIndex, count = drawn_tally.count;
+  if (workGroup() == 0u && local == 0u) {
+    macro_pairs = Tally(0u, 0u);
+    wanted_splats = 0u;
+    wanted_segments = 0u;
+    segments.count = 0u;
   }
-  barrier();
-  if (i % kListed == 0u && i < drawn_tally.count) counts[i / kListed] = sums[part];
+  for (uint first = 256u * workGroup(); first < count; first += 256u * workGroups()) {
+    if (local < kParts) pairs[local] = 0u;
+    barrier();
+    uint i = first + local;
+    if (i < count) {
+      uint index = drawn[i], box = index == kNone ? 0u : boxes[index];
+      ordered_boxes[i] = box;
+      atomicAdd(pairs[local / kListed], countOf(touchedBy(index, box)));
+    }
+    barrier();
+    uint of = first / kListed + local;
+    if (local < kParts && kListed * of < count) keepCount(of, pairs[local]);
+  }
 }

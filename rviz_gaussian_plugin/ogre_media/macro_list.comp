@@ -3,24 +3,25 @@
 layout(local_size_x = 256) in;
 layout(std430) readonly buffer Drawn { uint drawn[]; };
 layout(std430) readonly buffer OrderedBoxes { uint ordered_boxes[]; };
-layout(std430) readonly buffer Firsts { uint firsts[]; };  // prefix sum of macro_count.comp's counts
-layout(std430) readonly buffer Length { Tally drawn_tally; };
-layout(std430) readonly buffer MacroPairs { Tally macro_pairs; };
+layout(std430) readonly buffer DrawnTally { Tally drawn_tally; };
+layout(std430) writeonly buffer MacroPairs { Tally macro_pairs; };
 layout(std430) writeonly buffer Keys { uint keys[]; };  // macroKey()s
 layout(std430) writeonly buffer Splats { uint splat_of[]; };
+
+uniform uint room;  // for all pairs
 
 // Splats on more macro tiles than this are listed by 32 lanes, which find a row each, then list row by row.
 const uint kLarge = 32u, kParts = 256u / kListed;
 // The nearest splats are the largest. Of few splats, a work group takes 32 of each eighth of the order.
 const uint kFewSplats = 524288u;
 
-shared uint sums[256];
+shared uint sums[256], pairs_before[kParts];
 shared uint large_count, most_rows;
 shared uint large[256], large_next[256];
 shared int begins_of[kParts][32], ends_of[kParts][32];  // columns of rows
 
 void write(uint to, uint splat, uint box, ivec2 macro) {
-  if (to >= macro_pairs.count) return;
+  if (to >= room) return;
   keys[to] = macroKey(box, macro);
   splat_of[to] = splat;
 }
@@ -59,25 +60,30 @@ void listTogether(uint first, uint part, uint lane) {
   }
 }
 
-void main() {
-  uint count = drawn_tally.count, groups = (count + 255u) / 256u, local = gl_LocalInvocationIndex;
-  if (workGroup() >= groups) return;
+// Lists 256 splats, one of so many groups of these.
+void list(uint group, uint groups, uint count) {
+  uint local = gl_LocalInvocationIndex;
   if (local == 0u) large_count = 0u;
+  if (local < kParts) pairs_before[local] = 0u;
   uint lane = local % kListed, part = local / kListed;
-  uint i = count <= kFewSplats ? kListed * (part * groups + workGroup()) + lane : invocation();
+  bool scattered = count <= kFewSplats;
+  uint i = scattered ? kListed * (part * groups + group) + lane : 256u * group + local;
   bool there = i < count;
   uint splat = there ? drawn[i] : kNone, box = there ? ordered_boxes[i] : 0u;
   Touched touched = touchedBy(splat, box);
   uint mine = countOf(touched), sum = mine;
   sums[local] = sum;
   barrier();
+  if (scattered ? i - lane < count : part == 0u) atomicAdd(pairs_before[part], countBefore(i / kListed, lane));
   for (uint reach = 1u; reach < kListed; reach *= 2u) {
     if (lane >= reach) sum += sums[local - reach];
     barrier();
     sums[local] = sum;
     barrier();
   }
-  uint next = there ? firsts[i / kListed] + sum - mine : 0u;
+  uint next = pairs_before[scattered ? part : 0u] + sum - mine;
+  for (uint k = 0u; k < part && !scattered; ++k) next += sums[kListed * k + kListed - 1u];
+  if (i + 1u == count) macro_pairs = tallied(next + mine, room);
   if (mine > kLarge) {
     uint k = atomicAdd(large_count, 1u);
     large[k] = i;
@@ -90,5 +96,14 @@ void main() {
     if (local == 0u) most_rows = 0u;
     barrier();
     listTogether(first, part, lane);
+  }
+}
+
+void main() {
+  uint count = drawn_tally.count, groups = (count + 255u) / 256u;
+  if (workGroup() == 0u) clearNextSpans();
+  for (uint group = workGroup(); group < groups; group += workGroups()) {
+    list(group, groups, count);
+    barrier();
   }
 }

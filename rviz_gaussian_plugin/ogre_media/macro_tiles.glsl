@@ -1,6 +1,6 @@
 // The macro tiles of the region that a splat touches. It is listed with each of them.
 
-const uint kListed = 32u;  // splats whose macro tiles are counted together
+const uint kListed = 32u;  // splats whose macro tiles are counted together, a group of splat_counts.glsl
 
 // Rows of macro tiles, and what they have of the splat.
 struct Touched {

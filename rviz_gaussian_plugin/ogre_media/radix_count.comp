@@ -6,31 +6,33 @@ layout(local_size_x = 512) in;
 layout(std430) readonly buffer Keys { uint keys[]; };
 layout(std430) buffer Totals { uint totals[]; };
 layout(std430) writeonly buffer NextTotals { uint next_totals[]; };  // the next sort's
-layout(std430) writeonly buffer Sums { uint begun; uint sums[]; };   // as look_back.glsl has them
-layout(std430) readonly buffer Length { Tally keys_tally; };
+layout(std430) writeonly buffer Sums { uint begun; uint sums[]; };   // as radix_scatter.comp has them
 
 uniform uint passes;
 
-const uint kLanes = 512u, kEach = kBlock / kLanes, kTotals = 256u * kMostPasses;
+const uint kLanes = 512u, kAtOnce = 8u;
 
-shared uint histogram[kTotals];
+shared uint histogram[256u * kMostPasses];
 
 void main() {
-  uint local = gl_LocalInvocationIndex, block = workGroup(), count = keys_tally.count;
-  if (block == 0u) {
-    if (local == 0u) begun = 0u;
-    for (uint k = local; k < kTotals; k += kLanes) next_totals[k] = 0u;
-  }
-  if (block * kBlock >= count) return;
-  if (local < 256u) sums[256u * block + local] = 0u;
+  uint local = gl_LocalInvocationIndex, count = seen.splats.count;
+  uint all = kLanes * workGroups(), i = kLanes * workGroup() + local;
+  if (i == 0u) begun = 0u;
+  for (uint k = i; k < 256u * kMostPasses; k += all) next_totals[k] = 0u;
+  for (uint k = i; k < 256u * ((count + kBlock - 1u) / kBlock); k += all) sums[k] = 0u;
+  uint each = (count + all - 1u) / all * kLanes;
+  uint begin = min(each * workGroup(), count), end = min(begin + each, count);
+  if (begin == end) return;
   for (uint k = local; k < 256u * passes; k += kLanes) histogram[k] = 0u;
   barrier();
-  uint first = block * kBlock + local, key[kEach];  // all are loaded before the first is used
-  for (uint k = 0u; k < kEach; ++k) key[k] = keys[min(first + kLanes * k, count - 1u)];
-  for (uint k = 0u; k < kEach; ++k) {
-    if (first + kLanes * k >= count) break;
-    for (uint pass = 0u; pass < passes; ++pass) {
-      atomicAdd(histogram[256u * pass + digitOf(key[k], pass)], 1u);
+  for (uint first = begin + local; first < end; first += kLanes * kAtOnce) {
+    uint key[kAtOnce];  // all are loaded before the first is used
+    for (uint k = 0u; k < kAtOnce; ++k) key[k] = keys[min(first + kLanes * k, end - 1u)];
+    for (uint k = 0u; k < kAtOnce; ++k) {
+      if (first + kLanes * k >= end) break;
+      for (uint pass = 0u; pass < passes; ++pass) {
+        atomicAdd(histogram[256u * pass + digitOf(key[k], pass)], 1u);
+      }
     }
   }
   barrier();

@@ -11,16 +11,24 @@ layout(std430) readonly buffer Values { uint values[]; };
 layout(std430) writeonly buffer SortedKeys { uint sorted_keys[]; };
 layout(std430) writeonly buffer SortedValues { uint sorted_values[]; };
 layout(std430) readonly buffer Totals { uint totals[]; };  // how many keys have a digit, of each pass
-layout(std430) readonly buffer Length { Tally keys_tally; };
+// Lets blocks ask earlier blocks for their sums (decoupled look-back: Merrill and Garland 2016).
+layout(std430) coherent volatile buffer Sums { uint begun; uint sums[]; };  // begun: 0 between passes
 
 uniform uint pass;
 uniform bool first_pass;  // the values are 0, 1, 2...
 uniform bool last_pass;   // the sorted keys aren't needed
+// Where work groups can't wait for each other, a dispatch before the actual one only announces the sums.
+uniform bool announcing;
 
 const uint kLanes = uint(LANES), kEach = kBlock / kLanes;  // the first 256 have a digit each
 const uint kMostWarps = 32u;
+// Bits above a sum (at most kMostSum): the pass that announced it, from 1 on; whether it has all earlier blocks.
+const uint kPass = 7u << 28, kAllBefore = 1u << 31;
+// After these, sums are wrong, but nothing hangs. Mesa ends an invocation's loops after 65,535 turns in all.
+const uint kMostWaits = 1u << 24;
 
 shared uint memory[kBlock];    // the warps' turns, then the block in its order
+shared uint turn;
 shared uint block_start[256];  // a digit's first place among all keys, less its first place in the block
 
 // How many of a warp's keys so far have a digit; later, where in the block the first of these goes. Two
@@ -118,6 +126,23 @@ uint takeTurn(uint warp, uint lane, uint digit, bool valid) {
 }
 #endif
 
+// Returns the next block. All blocks before it have begun, so that a work group may wait for them.
+uint takeBlock(uint blocks) {
+  if (gl_LocalInvocationIndex == 0u) {
+    turn = atomicAdd(begun, 1u);
+    uint turns = workGroups() < blocks ? blocks + workGroups() : workGroups();
+    if (turn + 1u == turns) begun = 0u;
+  }
+  barrier();
+  return turn;
+}
+
+void announce(uint i, uint sum, bool all_before) {
+  sums[i] = (all_before ? kAllBefore : 0u) | pass + 1u << 28 | sum;
+}
+
+bool isAnnounced(uint sum) { return (sum & kPass) == pass + 1u << 28; }
+
 // How many keys of a digit are in the blocks before this one; asks several blocks at once.
 uint keysBefore(uint block, uint digit) {
   uint sum = 0u;
@@ -132,12 +157,9 @@ uint keysBefore(uint block, uint digit) {
   return sum;
 }
 
-void main() {
-  uint local = gl_LocalInvocationIndex, block = takeGroup();
-  uint warp = warpOf(local), lane = laneOf(local);
-  uint count = keys_tally.count, blocks = (count + kBlock - 1u) / kBlock;
+void sortBlock(uint block, uint count) {
+  uint local = gl_LocalInvocationIndex, warp = warpOf(local), lane = laneOf(local);
   uint pairs = (warpCount() + 1u) / 2u, stride = warpSize();
-  if (block >= blocks || warpCount() > kMostWarps) return;
   for (uint k = local; k < 256u * pairs; k += kLanes) memory[k] = 0u;
   barrier();
 
@@ -199,5 +221,14 @@ void main() {
   for (uint k = 0u; k < kEach; ++k) {
     uint i = kLanes * k + local;
     if (i < size) sorted_values[target[k]] = memory[i];
+  }
+}
+
+void main() {
+  uint count = seen.splats.count, blocks = (count + kBlock - 1u) / kBlock;
+  if (warpCount() > kMostWarps) return;
+  for (uint block = takeBlock(blocks); block < blocks; block = takeBlock(blocks)) {
+    sortBlock(block, count);
+    if (workGroups() >= blocks) break;
   }
 }

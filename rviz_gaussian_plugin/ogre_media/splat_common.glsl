@@ -9,26 +9,26 @@ const uint kNone = 0xffffffffu;
 // Work groups have 256 invocations; dispatches may be folded into two dimensions.
 uint workGroup() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
 uint invocation() { return workGroup() * 256u + gl_LocalInvocationIndex; }
+uint workGroups() { return gl_NumWorkGroups.x * gl_NumWorkGroups.y; }
 #endif
 
-const uint kBlock = 4096u;     // values that a work group sums up or sorts
+const uint kBlock = 4096u;  // keys that a work group sorts at once
 
-// A count that the CPU does not wait for, with the sizes of dispatches; tally.hpp has the same.
+// A count that the CPU does not wait for. So it dispatches about as many work groups as are needed, and these
+// share what there is.
 struct Tally {
-  uint count;      // no more than there is room for
-  uint wanted;     // what the count would be with room for all
-  uint groups[3];  // to dispatch: 256 a work group
-  uint blocks[3];  // the same for kBlock a work group, one at least
+  uint count;   // no more than there is room for
+  uint wanted;  // what the count would be with room for all
 };
 
-Tally tallied(uint wanted, uint room) {
-  uint count = min(wanted, room);
-  uvec2 groups = uvec2((count + 255u) / 256u, max((count + kBlock - 1u) / kBlock, 1u));
-  uvec2 rows = (groups + 65534u) / 65535u;
-  uvec2 columns = (groups + max(rows, 1u) - 1u) / max(rows, 1u);
-  return Tally(count, wanted, uint[3](columns.x, max(rows.x, 1u), 1u),
-               uint[3](columns.y, rows.y, 1u));
-}
+Tally tallied(uint wanted, uint room) { return Tally(min(wanted, room), wanted); }
+
+// Of the splats that a view sees.
+struct SeenTally {
+  Tally splats;
+  uint nearest, farthest;                    // keys of the depths of all
+  uint nearest_coloured, farthest_coloured;  // keys of the depths of splats of kByDepth
+};
 
 // What a splat is blended as.
 const uint kGaussian = 0u;

@@ -3,6 +3,8 @@
 
 layout(local_size_x = 256) in;
 
+layout(std430) writeonly buffer Seen { SeenTally seen; };
+
 shared uint words[8];
 
 bool mayBeSeen(Page page, uint slot) {
@@ -26,13 +28,15 @@ bool mayBeSeen(Page page, uint slot) {
 void main() {
   Page page = groupPage();
   uint local = gl_LocalInvocationIndex, slot = kPageSlots * page.page + slotInPage();
+  uint group = (kPageSlots * page.number + slotInPage()) / 256u;
   if (local < 8u) words[local] = 0u;
   barrier();
   if (mayBeSeen(page, slot)) atomicOr(words[local >> 5], 1u << (local & 31u));
   barrier();
-  if (local < 8u) {
-    uint word = (kPageSlots * page.number + slotInPage() - local) / 32u + local;
-    visible[word] = words[local];
-    before[word] = uint(bitCount(words[local]));
-  }
+  if (local < 8u) visible[8u * group + local].x = words[local];
+  if (local > 0u) return;
+  uint count = 0u;
+  for (uint k = 0u; k < 8u; ++k) count += uint(bitCount(words[k]));
+  keepCount(group, count);
+  if (group == 0u) seen = SeenTally(Tally(0u, 0u), kNone, 0u, kNone, 0u);
 }

@@ -12,13 +12,14 @@ layout(std430) readonly buffer Band3 { uint band3[]; };
 layout(std430) writeonly buffer Keys { uint keys[]; };
 // boxOf() each splat; if nodes stand for some, from first_share on the share of each that is drawn.
 layout(std430) writeonly buffer Boxes { uint boxes[]; };
-// As splat_colour.glsl has it.
-layout(std430) buffer DepthRange { uint nearest, farthest, nearest_coloured, farthest_coloured; };
+layout(std430) buffer Seen { SeenTally seen; };
 
 uniform uint room;  // for visible splats
 uniform uint first_share;
+uniform uint groups_of_slots;  // 256 each, of all kept pages
 
 shared uint group_nearest, group_farthest;
+shared uint seen_before, words[8];
 
 mat3 rotationMatrix(vec4 q) {
   q = normalize(q);
@@ -175,12 +176,11 @@ Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
   return e;
 }
 
-// Projects a slot. Returns the key of its depth, kNone if it isn't drawn. number: as in page_table.hpp.
-uint projected(Page page, uint slot, uint number) {
+// Projects a slot to an index. Returns the key of its depth, kNone if it isn't drawn.
+uint projected(Page page, uint slot, uint index) {
   vec3 mean = slotPosition(slot);
   vec3 p = transformed(groups[page.group].to_camera, mean);
   Ellipse e = project(page, slot, mean, p);
-  uint index = visibleIndex(number);
   if (index >= room) return kNone;
   keep(index, packEllipse(e));
   if (view.cut) boxes[first_share + index] = floatBitsToUint(shareOf(page, slot, mean));
@@ -190,27 +190,45 @@ uint projected(Page page, uint slot, uint number) {
   return key;
 }
 
+// Sums up what is seen before these 256 slots. Completes their words of `visible`, and the tally.
+void sumUp(uint group) {
+  uint local = gl_LocalInvocationIndex;
+  if (local < 32u) atomicAdd(seen_before, countBefore(group, local));
+  if (local < 8u) words[local] = visible[8u * group + local].x;
+  barrier();
+  uint sum = seen_before;
+  for (uint k = 0u; k < min(local, 8u); ++k) sum += uint(bitCount(words[k]));
+  if (local < 8u) visible[8u * group + local].y = sum;
+  if (local == 8u && group + 1u == groups_of_slots) seen.splats = tallied(sum, room);
+  if (group == 0u) clearNextSpans();
+}
+
 void main() {
   Page page = groupPage();
-  uint slot = kPageSlots * page.page + slotInPage(), key = kNone;
-  uint number = kPageSlots * page.number + slotInPage();
-  if (gl_LocalInvocationIndex == 0u) {
+  uint local = gl_LocalInvocationIndex, slot = kPageSlots * page.page + slotInPage(), key = kNone;
+  if (local == 0u) {
     group_nearest = kNone;
     group_farthest = 0u;
+    seen_before = 0u;
   }
   barrier();
-  if (isVisible(number)) key = projected(page, slot, number);
+  sumUp((kPageSlots * page.number + slotInPage()) / 256u);
+  uint word = local / 32u, bit = 1u << local % 32u;
+  if ((words[word] & bit) != 0u) {
+    uint index = seen_before + uint(bitCount(words[word] & (bit - 1u)));
+    for (uint k = 0u; k < word; ++k) index += uint(bitCount(words[k]));
+    key = projected(page, slot, index);
+  }
   if (key != kNone) {
     atomicMin(group_nearest, key);
     atomicMax(group_farthest, key);
   }
   barrier();
-  if (gl_LocalInvocationIndex == 0u && group_nearest <= group_farthest) {
-    atomicMin(nearest, group_nearest);
-    atomicMax(farthest, group_farthest);
-    if (map.kind == kByDepth) {
-      atomicMin(nearest_coloured, group_nearest);
-      atomicMax(farthest_coloured, group_farthest);
-    }
+  if (local > 0u || group_nearest > group_farthest) return;
+  atomicMin(seen.nearest, group_nearest);
+  atomicMax(seen.farthest, group_farthest);
+  if (map.kind == kByDepth) {
+    atomicMin(seen.nearest_coloured, group_nearest);
+    atomicMax(seen.farthest_coloured, group_farthest);
   }
 }

@@ -163,7 +163,10 @@ void main() {
   ivec2 tile = groupTile();
 #ifndef BEHIND
   uint segment = workGroup();
-  if (later) tile = tileAt(segments.tiles[segment]);
+  if (later) {
+    if (segment >= segments.count) return;
+    tile = tileAt(segments.tiles[segment]);
+  }
 #endif
   if (tile.y >= view.tiles.y) return;
   uint number = tileNumber(tile);

@@ -5,7 +5,9 @@ layout(std430) readonly buffer Lists { TileList lists[]; };
 layout(binding = 0) writeonly uniform image2D blended;
 
 void main() {
-  uint segment = workGroup(), local = gl_LocalInvocationIndex, tile = segments.tiles[segment];
+  uint segment = workGroup(), local = gl_LocalInvocationIndex;
+  if (segment >= segments.count) return;
+  uint tile = segments.tiles[segment];
   TileList list = lists[tile];
   if (list.first_segment != segment) return;
   uint later = laterSegments(list.end - list.begin);

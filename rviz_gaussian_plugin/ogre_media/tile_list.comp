@@ -13,8 +13,8 @@ const uint kParts = 8u;
 shared uint splats[kBlockSplats];
 shared uint words[kBlockSplats], to[kMacroTiles];  // of a macro tile
 
-void main() {
-  uint block = workGroup(), local = gl_LocalInvocationIndex, i = kBlockSplats * block + local;
+void listBlock(uint block) {
+  uint local = gl_LocalInvocationIndex, i = kBlockSplats * block + local;
   uint part = local / 32u, lane = local % 32u, earlier = (1u << lane) - 1u;
   uint last = min(kBlockSplats * (block + 1u), macro_pairs.count) - 1u, last_macro = keyMacro(keys[last]);
   if (i <= last) splats[local] = splat_of[i];
@@ -35,6 +35,13 @@ void main() {
         next += uint(bitCount(bits));
       }
     }
+    barrier();
+  }
+}
+
+void main() {
+  for (uint block = workGroup(); kBlockSplats * block < macro_pairs.count; block += workGroups()) {
+    listBlock(block);
     barrier();
   }
 }

@@ -20,7 +20,7 @@ uint cut(uint number, uint length) {
   if (later == 0u) return kNone;
   uint first = atomicAdd(wanted_segments, later + 1u);
   if (first + later >= segments_room) return kNone;
-  atomicAdd(segments.groups[0], later + 1u);
+  atomicAdd(segments.count, later + 1u);
   for (uint n = 0u; n <= later; ++n) segments.tiles[first + n] = number;
   return first;
 }
@@ -40,13 +40,9 @@ void main() {
   ivec2 columns = macroTiles();
   if (macro >= uint(columns.x * columns.y)) return;
   uint begin = 0u, end = 0u;
-  if (macro_pairs.count > 0u) {
+  if (macro_pairs.count > 0u) {  // else nothing has found where lists begin
     begin = begins[macro];
     end = begins[macro + 1u];
-  } else if (macro == 0u && gl_LocalInvocationIndex == 0u) {
-    wanted_splats = 0u;
-    wanted_segments = 0u;
-    segments.groups[0] = 0u;
   }
   uint first = begin / kBlockSplats, blocks = end > begin ? (end - 1u) / kBlockSplats - first + 1u : 0u;
   uint each = (blocks + kParts - 1u) / kParts, from = first + min(part * each, blocks);

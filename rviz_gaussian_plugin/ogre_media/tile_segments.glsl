@@ -1,8 +1,8 @@
 // A tile's long list is cut into segments, each blended by a work group: a first one, then later ones, which
 // know the transmittance of the first. tile_composite.comp lays the results over each other.
 layout(std430) buffer Segments {
-  uint groups[3];  // to dispatch: a work group a segment
-  uint tiles[];    // of each segment; a tile's later segments follow its first one
+  uint count;
+  uint tiles[];  // of each segment; a tile's later segments follow its first one
 } segments;
 // Colour and transmittance of a segment's 256 pixels. A later segment's transmittance excludes the others'.
 layout(std430) buffer Partials { vec4 partials[]; };

@@ -5,7 +5,6 @@ layout(std430) writeonly buffer Begins { uint begins[]; };      // of each macro
 layout(std430) writeonly buffer Touching { uint touching[]; };
 // How many splats of a block touch each tile. Where there are several macro tiles, tile_places.comp counts again.
 layout(std430) writeonly buffer Places { uint places[]; };
-layout(std430) writeonly buffer Wanted { uint wanted_splats, wanted_segments; };
 
 // The masks of a block's splats, four in a word; rows of 32 splats begin in different banks of the memory.
 const uint kRow = 32u / 4u + 1u;
@@ -29,14 +28,9 @@ uint tilesTouched(uint key, uint splat, ivec2 first) {
   return mask;
 }
 
-void main() {
-  uint block = workGroup(), local = gl_LocalInvocationIndex, i = kBlockSplats * block + local;
+void touchBlock(uint block) {
+  uint local = gl_LocalInvocationIndex, i = kBlockSplats * block + local;
   uint columns = uint(macroTiles().x), macros = columns * uint(macroTiles().y), count = macro_pairs.count;
-  if (block == 0u && local == 0u) {
-    wanted_splats = 0u;
-    wanted_segments = 0u;
-    segments.groups[0] = 0u;
-  }
   uint mask = 0u;
   if (i < count) {
     uint key = keys[i], macro = keyMacro(key);
@@ -56,4 +50,11 @@ void main() {
   atomicAdd(counts[tile], uint(bitCount(bits)));
   barrier();
   if (local < kMacroTiles) places[placeAt(block, keyMacro(keys[kBlockSplats * block]), local)] = counts[local];
+}
+
+void main() {
+  for (uint block = workGroup(); kBlockSplats * block < macro_pairs.count; block += workGroups()) {
+    touchBlock(block);
+    barrier();
+  }
 }

@@ -728,7 +728,7 @@ TEST_F(SplatRendererTest, DrawsInRegionsWhereListsAreTooMuch) {
     SplatCamera moved = largeCamera();
     moved.translation[0] = -x;
     scene.setCamera("view", ++sequence, moved);
-    const Calls<&epoxy_glDispatchComputeIndirect> dispatches;
+    const Calls<&epoxy_glDispatchCompute> dispatches;
     scene.draw("view", settings, Canvas::kNone);
     return dispatches.count();
   };
@@ -824,7 +824,7 @@ TEST_F(SplatRendererTest, TakesFewBytesForWhatIsInView) {
     return (bytesOf(2 * kCount, size) - bytesOf(kCount, size)) / kCount;
   };
   const double on_one_tile = each(0.1f), on_all = each(20);
-  EXPECT_LT(on_one_tile, 66);
+  EXPECT_LT(on_one_tile, 70);
   // There is an eighth as room for the next frame.
   EXPECT_LT((on_all - on_one_tile) / ((kTiles - 1) * 9.0 / 8), 8.5);
 }
@@ -1796,7 +1796,7 @@ TEST_F(SplatRendererTest, GivesAnyDriverShadersThatConform) {
     });
   };
   EXPECT_GT(count("#define PARTS 1\n"), 20);
-  EXPECT_GT(count("#define PARTS 4\n"), 20);
+  EXPECT_GT(count("#define PARTS 4\n"), 15);
   EXPECT_EQ(count("#define SUBGROUPS\n"), 6);
   const std::string prefix = testing::TempDir() + "rosplat_" + std::to_string(getpid()) + "_";
   std::string command = "glslangValidator";

@@ -72,10 +72,10 @@ std::size_t largestStorageBuffer() {
   return static_cast<std::size_t>(bytes);
 }
 
-void Slice::write(const void* data) const {
+void Slice::write(const void* data, std::size_t size) const {
   glBindBuffer(GL_COPY_WRITE_BUFFER, buffer);
   glBufferSubData(GL_COPY_WRITE_BUFFER, static_cast<GLintptr>(offset),
-                  static_cast<GLsizeiptr>(bytes), data);
+                  static_cast<GLsizeiptr>(size), data);
 }
 
 void waitFor(GLsync fence) {
@@ -517,10 +517,7 @@ StateGuard::~StateGuard() {
   glBindBuffersBase(GL_SHADER_STORAGE_BUFFER, 0, kStorageBindings, nullptr);
   for (const GLuint block : {0, 1}) glBindBufferBase(GL_UNIFORM_BUFFER, block, 0);
   glBindImageTextures(0, kImageUnits, nullptr);
-  for (const GLenum target :
-       {GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, GL_DISPATCH_INDIRECT_BUFFER}) {
-    glBindBuffer(target, 0);
-  }
+  for (const GLenum target : {GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER}) glBindBuffer(target, 0);
 }
 
 Stopwatch::~Stopwatch() {

@@ -67,7 +67,7 @@ struct Slice {
   GLuint buffer = 0;
   std::size_t offset = 0, bytes = 0;
 
-  void write(const void* data) const;
+  void write(const void* data, std::size_t size) const;
 };
 
 // Waits until a fence is passed. Throws Error if the graphics card doesn't answer for a minute.

@@ -53,14 +53,14 @@ void OrderedSplats::takeOrder(const OrderPtr& order) {
   if (!order) return slots_.release();
   slots_.reserve(order->slots.size() * sizeof(std::uint32_t));
   if (!order->slots.empty()) slots_.upload(order->slots);
-  order_length_.set(order->slots.size());
+  tell(order_length_, order->slots.size());
   order_ = order;
 }
 
 void OrderedSplats::putInOrder(std::uint32_t capacity) {
   drawn_.reserve(std::max(projection_.room(), most()) * sizeof(GLuint));
   if (!order_) {
-    sort_.order(projection_.visible(), projection_.depthRange(), key_bits_, drawn_);
+    sort_.order(projection_.seen(), expected(), key_bits_, drawn_);
     return;
   }
   if (order_->slots.empty()) return;
@@ -78,9 +78,9 @@ void OrderedSplats::putInOrder(std::uint32_t capacity) {
 }
 
 bool OrderedSplats::checkRoom(std::size_t most, double growth) {
-  const GLuint visible = tallies_.wait(Tallies::kVisible, Tally::kWanted),
-               nearest = tallies_.wait(Tallies::kDepthRange, 0),
-               farthest = tallies_.wait(Tallies::kDepthRange, 1);
+  const GLuint visible = tallies_.wait(Tallies::kSeen, Tallies::kWanted),
+               nearest = tallies_.wait(Tallies::kSeen, Tallies::kNearest),
+               farthest = tallies_.wait(Tallies::kSeen, Tallies::kFarthest);
   count_ = order_ ? order_->slots.size() : visible;
   counts_ = projection_.visibleOf(count_);
   bool enough = true;

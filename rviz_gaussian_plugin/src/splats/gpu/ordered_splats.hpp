@@ -32,13 +32,15 @@ class OrderedSplats {
 
   const Projection& projection() const { return projection_; }
   const gl::Buffer& drawn() const { return drawn_; }  // indices of ellipses, nearest first
-  // How many splats are drawn: on the graphics card; count(): as checkRoom() read; at most most().
-  const Tally& tally() const { return order_ ? order_length_ : projection_.visible(); }
+  // How many splats are drawn: on the graphics card; count(): as checkRoom() read; at most most();
+  // about expected().
+  const gl::Slice& tally() const { return order_ ? order_length_ : projection_.seen(); }
   std::size_t count() const { return count_; }
   // Whether any splat may be a solid ball.
   bool hasBalls() const;
   const std::vector<std::size_t>& countsOfLayers() const { return counts_; }
   std::size_t most() const { return order_ ? order_->slots.size() : projection_.room(); }
+  std::size_t expected() const { return likely(count_, most()); }
   std::size_t bytes() const;
 
  private:
@@ -58,9 +60,9 @@ class OrderedSplats {
   RadixSort& sort_;
   Projection projection_;
   const gl::Program& order_program_;
-  OrderPtr order_;      // farthest first; null: visible splats are sorted here
-  gl::Buffer slots_;    // of `order_`
-  Tally order_length_;  // of `order_`
+  OrderPtr order_;          // farthest first; null: visible splats are sorted here
+  gl::Buffer slots_;        // of `order_`
+  gl::Slice order_length_;  // of `order_`
   std::vector<Prepared> prepared_;
   bool kept_ = false;  // nothing of `prepared_` was left out
   gl::Buffer page_numbers_, drawn_;

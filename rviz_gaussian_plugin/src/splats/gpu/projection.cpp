@@ -15,6 +15,7 @@ constexpr std::array<const char*, kMaxShDegree + 1> kBands{"", "Band1", "Band2",
 constexpr std::array<const char*, Shaders::kEllipseParts> kEllipses{"Ellipses[0]", "Ellipses[1]",
                                                                     "Ellipses[2]", "Ellipses[3]"};
 
+constexpr std::size_t kGroupWords = 8;  // of 256 slots, which are counted together
 constexpr std::size_t kShareStep = gl::Slice::kAlignment / sizeof(GLuint);
 
 // Shaders don't read levels that an arena lacks, but a buffer must be bound.
@@ -27,16 +28,14 @@ void bindLevels(const gl::Program& program, const SlotArenas::Arena& arena) {
 Projection::Projection(Shaders& shaders, const Tallies& tallies)
     : cull_(shaders.compute({"splat_map.glsl", "splat_slot.glsl", "splat_groups.glsl",
                              "splat_pages.glsl", "splat_cut.glsl", "splat_visible.glsl",
-                             "splat_cull.comp"})),
+                             "splat_counts.glsl", "splat_cull.comp"})),
       project_(shaders.compute({"splat_map.glsl", "splat_slot.glsl", "splat_groups.glsl",
                                 "splat_pages.glsl", "splat_cut.glsl", "splat_visible.glsl",
-                                "splat_ellipses.glsl", "splat_tiles.glsl", "splat_project.comp"})),
-      prefix_sum_(shaders),
+                                "splat_counts.glsl", "splat_ellipses.glsl", "splat_tiles.glsl",
+                                "splat_project.comp"})),
       part_size_(shaders.partSize()),
       most_(shaders.mostEllipses()),
-      words_(tallies.of(Tallies::kSlotWords)),
-      visible_count_(tallies.of(Tallies::kVisible)),
-      depth_range_(tallies.of(Tallies::kDepthRange)) {}
+      seen_(tallies.of(Tallies::kSeen)) {}
 
 void Projection::reserve(std::size_t count) {
   if (count <= room_) return;
@@ -54,8 +53,6 @@ void Projection::reserve(std::size_t count) {
 }
 
 void Projection::run(const Frame& frame, const gl::Buffer& keys) {
-  const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> no_range{~0u, 0, ~0u, 0};
-  depth_range_.write(no_range.data());
   std::vector<std::vector<SeenGroup>> groups;
   std::vector<GroupView> views;
   std::vector<MapBlock> maps;
@@ -67,25 +64,27 @@ void Projection::run(const Frame& frame, const gl::Buffer& keys) {
   }
   pages_.keep(frame, groups);
   if (pages_.count() == 0) {
-    visible_count_.set(0);
-    return;
+    constexpr std::array<GLuint, 6> kNothing{0, 0, ~0u, 0, ~0u, 0};
+    return seen_.write(kNothing.data(), sizeof(kNothing));
   }
+  const std::size_t boxes = ceilDiv(room_, kShareStep) * kShareStep * sizeof(GLuint);
+  shares_begin_ = frame.cuts() ? boxes : 0;
+  boxes_.reserve(boxes + shares_begin_);
   groups_.upload(views);
   maps_.upload(maps);
   cull();
-  if (frame.layers.size() > 1) askForLayers();
   glFlush();  // the graphics card begins while the rest is submitted
   project(frame, keys);
+  if (frame.layers.size() > 1) askForLayers();
 }
 
 void Projection::cull() {
-  const std::size_t words = slotWords();
-  visible_.reserve(words * sizeof(GLuint));
-  before_.reserve(words * sizeof(GLuint));
-  prefix_sum_.reserve(words);
-  words_.set(words);
+  visible_.reserve(2 * slotWords() * sizeof(GLuint));
+  counts_.begin(slotWords() / kGroupWords);
   cull_.use();
+  counts_.bind(cull_);
   bindVisible(cull_);
+  cull_.bind("Seen", seen_);
   cull_.bind("Groups", groups_);
   cull_.bind("Pages", pages_.table());
   for (const PageTable::Range& range : pages_.ranges()) {
@@ -96,8 +95,6 @@ void Projection::cull() {
     gl::dispatchInvocations(range.count * SlotPage::kSlots);
   }
   gl::storageBarrier();
-  visible_count_.forget();
-  prefix_sum_.run(before_, words_, visible_count_, room_);
 }
 
 // Copies the counts as soon as they are known, so that visibleOf() doesn't wait for later work.
@@ -111,8 +108,8 @@ void Projection::askForLayers() {
   }
   constexpr std::size_t kPageWords = SlotPage::kSlots / 32;
   for (std::size_t layer = 0; layer < layers && begins[layer] < begins.back(); ++layer) {
-    visible_before_.copy(before_, begins[layer] * kPageWords * sizeof(GLuint), sizeof(GLuint),
-                         layer * sizeof(GLuint));
+    visible_before_.copy(visible_, (2 * begins[layer] * kPageWords + 1) * sizeof(GLuint),
+                         sizeof(GLuint), layer * sizeof(GLuint));
   }
   visible_before_copy_->ask(visible_before_);
 }
@@ -138,16 +135,15 @@ void Projection::bindMap(const PageTable::Range& range) const {
 }
 
 void Projection::project(const Frame& frame, const gl::Buffer& keys) {
-  const std::size_t first_share = (room_ + kShareStep - 1) / kShareStep * kShareStep;
-  shares_begin_ = frame.cuts() ? first_share * sizeof(GLuint) : 0;
-  boxes_.reserve(shares_begin_ + first_share * sizeof(GLuint));
   project_.use();
   project_.set("room", static_cast<GLuint>(room_));
-  project_.set("first_share", static_cast<GLuint>(first_share));
+  project_.set("first_share", static_cast<GLuint>(shares_begin_ / sizeof(GLuint)));
   bindEllipses(project_);
   bindVisible(project_);
+  counts_.bind(project_);
+  project_.set("groups_of_slots", static_cast<GLuint>(slotWords() / kGroupWords));
   project_.bind("Keys", keys);
-  project_.bind("DepthRange", depth_range_);
+  project_.bind("Seen", seen_);
   project_.bind("Boxes", boxes_);
   project_.bind("Groups", groups_);
   project_.bind("Pages", pages_.table());
@@ -181,12 +177,11 @@ void Projection::bindEllipses(const gl::Program& program) const {
 
 void Projection::bindVisible(const gl::Program& program) const {
   program.bind("Visible", visible_);
-  program.bind("Before", before_);
 }
 
 std::size_t Projection::bytes() const {
   std::size_t bytes = pages_.bytes() + groups_.bytes() + maps_.bytes() + visible_.bytes() +
-                      before_.bytes() + boxes_.bytes() + prefix_sum_.bytes();
+                      counts_.bytes() + boxes_.bytes();
   for (const gl::Buffer& part : ellipses_) bytes += part.bytes();
   return bytes;
 }

@@ -8,7 +8,7 @@
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
 #include "gpu/frame.hpp"
-#include "gpu/group_sums.hpp"
+#include "gpu/group_counts.hpp"
 #include "gpu/page_table.hpp"
 #include "gpu/tally.hpp"
 
@@ -28,7 +28,7 @@ class Projection {
   // Submits the projection. keys: gets the depth keys; has room for room() of them.
   void run(const Frame& frame, const gl::Buffer& keys);
 
-  const Tally& visible() const { return visible_count_; }
+  const gl::Slice& seen() const { return seen_; }  // a SeenTally
   // Returns how many of all `visible` splats each layer shows. With several, waits for the counts.
   std::vector<std::size_t> visibleOf(std::size_t visible) const;
   // Bind the buffers of splat_ellipses.glsl and splat_visible.glsl.
@@ -37,8 +37,6 @@ class Projection {
   // Words of the bits that bindVisible() binds: a bit for each slot of pages().
   std::size_t slotWords() const { return pages_.count() * SlotPage::kSlots / 32; }
   const PageTable& pages() const { return pages_; }
-  // The least and the largest depthKey() that is drawn, as splat_colour.glsl has them.
-  const gl::Slice& depthRange() const { return depth_range_; }
   const gl::Buffer& boxes() const { return boxes_; }  // as splat_tiles.glsl has them
   // Whether nodes stand for some splats. If so, shares() are the drawn shares, else anything.
   bool hasShares() const { return shares_begin_ > 0; }
@@ -53,18 +51,17 @@ class Projection {
 
   PageTable pages_;
   const gl::Program &cull_, &project_;
-  PrefixSum prefix_sum_;
   std::size_t part_size_, most_;
   gl::Buffer groups_, maps_;  // as splat_groups.glsl and splat_map.glsl have them
-  gl::Buffer visible_, before_;
-  Tally words_, visible_count_;
+  gl::Buffer visible_;
+  GroupCounts counts_;  // of visible slots
   // With several layers: how many splats are visible in the layers before each.
   gl::Buffer visible_before_;
   std::optional<gl::Readback> visible_before_copy_;
   std::array<gl::Buffer, Shaders::kEllipseParts> ellipses_;
   gl::Buffer boxes_;
   std::size_t shares_begin_ = 0;  // in `boxes_` [bytes]; 0: no shares
-  gl::Slice depth_range_;
+  gl::Slice seen_;
   std::size_t room_ = 0;
 };
 

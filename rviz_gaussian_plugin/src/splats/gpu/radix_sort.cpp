@@ -14,20 +14,21 @@ constexpr std::size_t kDigits = 1u << RadixSort::kDigitBits;
 // Invocations of a work group: the more, the less each waits. If subgroups are narrower than the
 // driver says, kLanes are too many.
 constexpr int kLanes = 512, kFewLanes = 256;
+constexpr std::size_t kBlock = 4096;  // keys that a work group sorts at once, as in the shaders
+// Work groups that count digits, and keys that each counts if there are few.
+constexpr std::size_t kMostCounters = 512, kLeastCounted = 1024;
 // Digits of all passes that there may be; radix_count.comp has the same.
 constexpr std::size_t kTotals = kDigits * 32 / RadixSort::kDigitBits;
-const Shaders::Files kScatter{"group_sum.glsl", "look_back.glsl", "radix_digit.glsl",
-                              "radix_scatter.comp"};
+const Shaders::Files kScatter{"group_sum.glsl", "radix_digit.glsl", "radix_scatter.comp"};
 
-std::size_t blocks(std::size_t count) { return ceilDiv(count, Tally::kBlock); }
+std::size_t blocks(std::size_t count) { return std::max(ceilDiv(count, kBlock), 1u); }
 }  // namespace
 
 RadixSort::RadixSort(Shaders& shaders)
     : shaders_(shaders),
       count_(shaders.compute({"radix_digit.glsl", "radix_count.comp"})),
       scatter_(&shaders.computeInWarps(kScatter, shaders.subgroups() ? kLanes : kFewLanes,
-                                       shaders.subgroups())),
-      sums_(shaders) {
+                                       shaders.subgroups())) {
   for (gl::Buffer* buffer : {&totals_, &next_totals_}) {
     buffer->reserve(kTotals * sizeof(GLuint));
     buffer->zero();
@@ -55,7 +56,7 @@ bool RadixSort::sortsInSomeWarps() {
 
 bool RadixSort::sortsRight() {
   // Three full blocks and a part of one; each key about six times, with the top bits of depths.
-  constexpr std::size_t kKeys = 3 * Tally::kBlock + 1000;
+  constexpr std::size_t kKeys = 3 * kBlock + 1000;
   constexpr GLuint kLeast = 0xbf800000u;
   std::minstd_rand random;
   std::vector<GLuint> keys(kKeys), places(kKeys), sorted(kKeys), found(kKeys);
@@ -65,29 +66,26 @@ bool RadixSort::sortsRight() {
                    [&](GLuint a, GLuint b) { return keys[a] < keys[b]; });
   std::transform(places.begin(), places.end(), sorted.begin(), [&](GLuint i) { return keys[i]; });
 
-  const gl::Buffer numbers(2 * gl::Slice::kAlignment, GL_DYNAMIC_COPY);
+  const gl::Buffer numbers(gl::Slice::kAlignment, GL_DYNAMIC_COPY);
   gl::Buffer ordered(kKeys * sizeof(GLuint), GL_DYNAMIC_COPY);
   gl::settle();
-  Tally count({numbers.id(), 0, Tally::kBytes});
-  count.set(kKeys);
-  const gl::Slice least{numbers.id(), gl::Slice::kAlignment, Tally::kBytes};
-  const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> words{kLeast};
-  least.write(words.data());
+  const std::array<GLuint, 6> tally{kKeys, kKeys, kLeast};
+  const gl::Slice seen{numbers.id(), 0, sizeof(tally)};
+  seen.write(tally.data(), sizeof(tally));
   reserve(kKeys);
-
   const auto holds = [&](const gl::Buffer& buffer, const std::vector<GLuint>& expected) {
     buffer.read(0, found.data(), found.size() * sizeof(GLuint));
     return found == expected;
   };
   keys_.write(0, keys.data(), keys.size() * sizeof(GLuint));
-  order(count, least, 2 * kDigitBits, ordered);
+  order(seen, kKeys, 2 * kDigitBits, ordered);
   if (!holds(ordered, places)) return false;
   // sort() moves values in passes of its own, unlike order().
   std::vector<GLuint> values(kKeys);
   std::iota(values.rbegin(), values.rend(), 0u);
   keys_.write(0, keys.data(), keys.size() * sizeof(GLuint));
   ordered.write(0, values.data(), values.size() * sizeof(GLuint));
-  sort(count, least, 2 * kDigitBits, ordered);
+  sort(seen, kKeys, 2 * kDigitBits, ordered);
   std::transform(places.begin(), places.end(), values.begin(),
                  [&](GLuint i) { return static_cast<GLuint>(kKeys) - 1 - i; });
   return holds(keys_, sorted) && holds(ordered, values);
@@ -95,34 +93,41 @@ bool RadixSort::sortsRight() {
 
 void RadixSort::reserve(std::size_t count) {
   if (room_.wastes(count)) {
-    for (gl::Buffer* buffer : {&keys_, &next_keys_, &values_}) buffer->release();
-    sums_.release();
+    for (gl::Buffer* buffer : {&keys_, &next_keys_, &values_, &sums_}) buffer->release();
   }
   for (gl::Buffer* buffer : {&keys_, &next_keys_, &values_}) {
     buffer->reserve(count * sizeof(GLuint));
   }
-  sums_.reserve(std::max(blocks(count), std::size_t{1}) * kDigits);
+  sums_.reserve((1 + blocks(count) * kDigits) * sizeof(GLuint));
 }
 
-void RadixSort::run(const Tally& count, const gl::Slice& least, int bits, const gl::Buffer& sorted,
+void RadixSort::order(const gl::Slice& seen, std::size_t expected, int bits,
+                      const gl::Buffer& places) {
+  run(seen, expected, bits, places, true);
+}
+
+void RadixSort::sort(const gl::Slice& seen, std::size_t expected, int bits,
+                     const gl::Buffer& sorted) {
+  run(seen, expected, bits, sorted, false);
+}
+
+void RadixSort::run(const gl::Slice& seen, std::size_t expected, int bits, const gl::Buffer& sorted,
                     bool are_places) {
   std::swap(totals_, next_totals_);
+  count_.use();
   count_.bind("Keys", keys_);
   count_.bind("Totals", totals_);
   count_.bind("NextTotals", next_totals_);
-  count_.bind("Sums", sums_.words());
-  count_.bind("Length", count.words());
-  count_.bind("Least", least);
-  count_.use();
+  count_.bind("Sums", sums_);
+  count_.bind("Seen", seen);
   count_.set("passes", static_cast<GLuint>(passes(bits)));
-  count.dispatchBlocks();
+  gl::dispatch(std::clamp<std::size_t>(ceilDiv(expected, kLeastCounted), 1, kMostCounters));
   gl::storageBarrier();
-  sums_.cleared();
 
-  scatter_->bind("Totals", totals_);
-  scatter_->bind("Length", count.words());
-  scatter_->bind("Least", least);
   scatter_->use();
+  scatter_->bind("Totals", totals_);
+  scatter_->bind("Sums", sums_);
+  scatter_->bind("Seen", seen);
   const int last = passes(bits) - 1;
   for (int pass = 0; pass <= last; ++pass) {
     // Values go back and forth between two buffers, so that the last pass writes to `sorted`.
@@ -134,19 +139,14 @@ void RadixSort::run(const Tally& count, const gl::Slice& least, int bits, const 
     scatter_->set("pass", static_cast<GLuint>(pass));
     scatter_->set("first_pass", int(are_places && pass == 0));
     scatter_->set("last_pass", int(are_places && pass == last));
-    sums_.run(*scatter_, count);
+    for (const bool announcing : {true, false}) {
+      if (announcing && shaders_.groupsWait()) continue;
+      scatter_->set("announcing", int(announcing));
+      gl::dispatch(blocks(expected));
+      gl::storageBarrier();
+    }
     std::swap(keys_, next_keys_);
   }
-}
-
-void RadixSort::sort(const Tally& count, const gl::Slice& least, int bits,
-                     const gl::Buffer& sorted) {
-  run(count, least, bits, sorted, false);
-}
-
-void RadixSort::order(const Tally& count, const gl::Slice& least, int bits,
-                      const gl::Buffer& places) {
-  run(count, least, bits, places, true);
 }
 
 std::size_t RadixSort::bytes() const {

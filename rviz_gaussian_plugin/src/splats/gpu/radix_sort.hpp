@@ -4,7 +4,6 @@
 
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
-#include "gpu/group_sums.hpp"
 #include "gpu/tally.hpp"
 
 namespace rosplat {
@@ -27,10 +26,9 @@ class RadixSort {
   // Whether check() gave up the driver's subgroups.
   bool lostBallots() const { return lost_ballots_; }
 
-  // Makes room for so many keys. Shrinks the buffers if recent calls asked for much less than there
-  // is. The buffers' content may be lost.
+  // Makes room to sort so many keys. Shrinks the buffers if recent calls asked for much less than
+  // there is. The buffers' content may be lost.
   void reserve(std::size_t count);
-
   const gl::Buffer& keys() const { return keys_; }
   // Returns where to write the values that sort() shall leave in `sorted`; may be `sorted` itself.
   const gl::Buffer& values(int bits, const gl::Buffer& sorted) const {
@@ -39,11 +37,12 @@ class RadixSort {
   // Free for other use between sorts.
   const gl::Buffer& spareKeys() const { return next_keys_; }
 
-  // Sorts by the lowest `bits` bits, one at least, of the keys' distances from the first word of
-  // `least`: keys() in place, values() to `sorted`.
-  void sort(const Tally& count, const gl::Slice& least, int bits, const gl::Buffer& sorted);
-  // Writes the keys' former indices to `places`, in the order of the keys. The keys are lost.
-  void order(const Tally& count, const gl::Slice& least, int bits, const gl::Buffer& places);
+  // Writes the keys' indices to `places`, in the order of the lowest `bits` bits, one at least, of
+  // the keys' distances from the nearest. seen: a SeenTally: how many keys there are, and the
+  // nearest. expected: about how many. The keys are lost.
+  void order(const gl::Slice& seen, std::size_t expected, int bits, const gl::Buffer& places);
+  // The same, but sorts keys() in place, and values() to `sorted`.
+  void sort(const gl::Slice& seen, std::size_t expected, int bits, const gl::Buffer& sorted);
 
   std::size_t bytes() const;
 
@@ -53,9 +52,8 @@ class RadixSort {
   static int passes(int bits) { return (bits + kDigitBits - 1) / kDigitBits; }
 
   // are_places: the values are 0, 1, 2..., and the sorted keys aren't needed.
-  void run(const Tally& count, const gl::Slice& least, int bits, const gl::Buffer& sorted,
+  void run(const gl::Slice& seen, std::size_t expected, int bits, const gl::Buffer& sorted,
            bool are_places);
-
   bool sortsInSomeWarps();
   bool sortsRight();
 
@@ -65,7 +63,7 @@ class RadixSort {
   const gl::Program* scatter_;
   gl::Buffer keys_, next_keys_, values_;
   gl::Buffer totals_, next_totals_;  // how many keys have a digit; next_totals_ are 0 between sorts
-  GroupSums sums_;
+  gl::Buffer sums_;                  // as radix_scatter.comp has them
   UsageTracker room_;
 };
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cstddef>
 
 #include "gl/gl_objects.hpp"
@@ -14,6 +15,12 @@ constexpr GLuint ceilDiv(std::size_t a, std::size_t b) {
 // Returns the room to make for a count that may be larger in the next frame, and grows by a factor.
 constexpr std::size_t withSlack(std::size_t count, double growth = 1) {
   return static_cast<std::size_t>(growth * static_cast<double>(count + count / 8));
+}
+
+// Returns for how many to dispatch work groups if there were `count` in the last frame. These share
+// what there is. So if it is much more than before, the frame takes longer, but lacks nothing.
+constexpr std::size_t likely(std::size_t count, std::size_t room) {
+  return std::min(std::max(withSlack(count), room / 8), room);
 }
 
 // Tracks how much of a room is used: the room grows at once, but shrinks only after kPatience uses.
@@ -38,61 +45,42 @@ class UsageTracker {
   int uses_ = 0;
 };
 
-// A count that a shader finds, with the sizes of the dispatches that process it, so that these need
-// not wait for the CPU. splat_common.glsl has the same.
-class Tally {
- public:
-  static constexpr std::size_t kBlock = 4096;
-  static constexpr std::size_t kBytes = 8 * sizeof(GLuint);
-  static constexpr std::size_t kWanted = 1;  // word: what the count would be with room for all
-
-  // words: of kBytes; get a count of 0.
-  explicit Tally(const gl::Slice& words) : words_(words) { set(0); }
-
-  // Sets a count that the CPU knows.
-  void set(std::size_t count);
-  // Tells that a shader will set another count.
-  void forget();
-
-  const gl::Slice& words() const { return words_; }  // for a shader to bind
-  // Run the compute program in use, a work group for each 256, or each kBlock, of the count.
-  void dispatchGroups() const;
-  void dispatchBlocks() const;
-
- private:
-  void dispatch(std::size_t word) const;
-
-  gl::Slice words_;
-  bool known_ = false;
-  std::size_t count_ = 0;
-};
-
-// The counts of a view, side by side, so that one copy brings all of them to the CPU.
+// The counts of a view that shaders find, side by side, so that one copy brings all of them to the
+// CPU. Most are a Tally, as splat_common.glsl has it.
 class Tallies {
  public:
   enum Of : std::size_t {
-    kVisible,
-    kMacroPairs,
-    kLists,  // pairs of a splat and a tile, then segments; as tile_touch.comp has them
-    kSlotWords,
+    kSeen,        // a SeenTally
+    kMacroPairs,  // a SeenTally whose nearest key is 0
+    kLists,       // pairs of a splat and a tile, then segments; as macro_count.comp has them
     kOrder,
-    kDepthRange,
-    kZero,
     kCount
   };
+  // Words of a SeenTally.
+  static constexpr std::size_t kWanted = 1, kNearest = 2, kFarthest = 3;
 
-  Tallies() : words_(kCount * gl::Slice::kAlignment, GL_DYNAMIC_COPY), copy_(kCount * kStride) {}
+  Tallies() : words_(kCount * gl::Slice::kAlignment, GL_DYNAMIC_COPY), copy_(kCount * kStride) {
+    gl::settle();
+    words_.zero();
+  }
 
-  gl::Slice of(Of what) const { return {words_.id(), what * gl::Slice::kAlignment, Tally::kBytes}; }
+  gl::Slice of(Of what) const { return {words_.id(), what * gl::Slice::kAlignment, kBytes}; }
   void ask() { copy_.ask(words_); }
   // Waits for the copy of the last ask(), and returns a word of a count.
   GLuint wait(Of what, std::size_t word) const { return copy_.wait()[what * kStride + word]; }
 
  private:
   static constexpr std::size_t kStride = gl::Slice::kAlignment / sizeof(GLuint);
+  static constexpr std::size_t kBytes = 6 * sizeof(GLuint);
 
   gl::Buffer words_;
   gl::Readback copy_;
 };
+
+// Writes a count that the CPU knows to a Tally.
+inline void tell(const gl::Slice& tally, std::size_t count) {
+  const std::array<GLuint, 2> words{static_cast<GLuint>(count), static_cast<GLuint>(count)};
+  tally.write(words.data(), sizeof(words));
+}
 
 }  // namespace rosplat

@@ -18,8 +18,7 @@ static_assert(kBlockSplats == 8 * kMacroColumns * kMacroRows);  // words that a 
 
 // What a segment leaves: four floats for each of 256 pixels.
 constexpr std::size_t kPartialBytes = 4 * sizeof(GLfloat) * 256;
-constexpr std::size_t kGroupWords = 3;        // of tile_segments.glsl, before `tiles`
-constexpr std::size_t kFewSegments = 16;      // there is room for these, even if none is needed
+constexpr std::size_t kLeastRoom = 16;        // memory for less than this is lacking for good
 constexpr std::size_t kMostSegments = 65535;  // every driver dispatches as many in one dimension
 // After blending: the picture may be drawn, or blended once more.
 constexpr GLbitfield kReadNext =
@@ -45,11 +44,12 @@ const gl::Program& blender(Shaders& shaders, std::initializer_list<const char*> 
 
 TileRasterizer::TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies& tallies)
     : count_(shaders.compute({"splat_ellipses.glsl", "splat_exactly.glsl", "splat_tiles.glsl",
-                              "macro_tiles.glsl", "macro_count.comp"})),
+                              "tile_segments.glsl", "macro_tiles.glsl", "splat_counts.glsl",
+                              "macro_count.comp"})),
       list_macros_(shaders.compute({"splat_ellipses.glsl", "splat_exactly.glsl", "splat_tiles.glsl",
-                                    "macro_tiles.glsl", "macro_list.comp"})),
-      touch_(shaders.compute({"splat_ellipses.glsl", "splat_tiles.glsl", "tile_touching.glsl",
-                              "tile_segments.glsl", "tile_touch.comp"})),
+                                    "macro_tiles.glsl", "splat_counts.glsl", "macro_list.comp"})),
+      touch_(shaders.compute(
+          {"splat_ellipses.glsl", "splat_tiles.glsl", "tile_touching.glsl", "tile_touch.comp"})),
       place_(shaders.compute(
           {"splat_tiles.glsl", "tile_touching.glsl", "tile_segments.glsl", "tile_places.comp"})),
       list_(shaders.compute({"splat_tiles.glsl", "tile_touching.glsl", "tile_list.comp"})),
@@ -64,17 +64,11 @@ TileRasterizer::TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies&
           blender(shaders, {"splat_balls.glsl", "splat_shares.glsl", "splat_behind.glsl"})),
       blend_depths_(blender(shaders, {"tile_segments.glsl", "splat_balls.glsl", "splat_shares.glsl",
                                       "splat_depths.glsl"})),
-      prefix_sum_(shaders),
       sort_(sort),
-      macro_pair_count_(tallies.of(Tallies::kMacroPairs)),
-      zero_(tallies.of(Tallies::kZero)),
+      macro_pairs_(tallies.of(Tallies::kMacroPairs)),
       wanted_(tallies.of(Tallies::kLists)),
-      room_{0, 0, kFewSegments},
-      most_(mostRoom()) {
-  const std::array<GLuint, Tally::kBytes / sizeof(GLuint)> zeros{};
-  zero_.write(zeros.data());
-  wanted_.write(zeros.data());
-}
+      room_{},
+      most_(mostRoom()) {}
 
 void TileRasterizer::list(const OrderedSplats& splats, int width, int height, std::size_t region,
                           gl::Stopwatch& stopwatch) {
@@ -83,7 +77,7 @@ void TileRasterizer::list(const OrderedSplats& splats, int width, int height, st
   height_ = height;
   listed_ = false;
   regions_.begin(region, macroColumns(), macroRows());
-  reserve(splats.most());
+  reserve(splats);
   // The region before may still read what this one writes.
   if (regions_.count() > 1) gl::storageBarrier();
   listMacroPairs(splats);
@@ -107,15 +101,16 @@ bool TileRasterizer::checkRoom(const Wanted& wanted, double growth) {
                       std::min(wanted.pairs, most_.pairs),
                       std::min(wanted.segments, most_.segments)};
   bool enough = true;
-  const auto adapt = [&](std::size_t& room, UsageTracker& used, std::size_t need, std::size_t most,
-                         std::size_t least) {
+  const auto adapt = [&](std::size_t& room, UsageTracker& used, std::size_t need,
+                         std::size_t most) {
     const bool lacks = need > room;
-    if (used.wastes(need) || lacks) room = std::max(std::min(withSlack(need, growth), most), least);
+    if (used.wastes(need) || lacks) room = std::min(withSlack(need, growth), most);
     enough = enough && !lacks;
   };
-  adapt(room_.macro_pairs, macro_pairs_used_, needed.macro_pairs, most_.macro_pairs, 0);
-  adapt(room_.pairs, pairs_used_, needed.pairs, most_.pairs, 0);
-  adapt(room_.segments, segments_used_, needed.segments, most_.segments, kFewSegments);
+  adapt(room_.macro_pairs, macro_pairs_used_, needed.macro_pairs, most_.macro_pairs);
+  adapt(room_.pairs, pairs_used_, needed.pairs, most_.pairs);
+  adapt(room_.segments, segments_used_, needed.segments, most_.segments);
+  expected_ = wanted.macro_pairs;
   listed_ = listed_ && enough;
   if (!enough) return false;
   if (regions_.number() % 2 == 0) {
@@ -127,7 +122,7 @@ bool TileRasterizer::checkRoom(const Wanted& wanted, double growth) {
   return true;
 }
 
-void TileRasterizer::reserve(std::size_t splats) {
+void TileRasterizer::reserve(const OrderedSplats& splats) {
   const auto reserve = [](gl::Buffer& buffer, std::size_t bytes) {
     if (buffer.bytes() / 4 > bytes) buffer.release();
     buffer.reserve(bytes);
@@ -138,20 +133,18 @@ void TileRasterizer::reserve(std::size_t splats) {
       try {
         return reserve_room();
       } catch (const gl::Error&) {
-        if (room < kFewSegments) throw;
+        if (room < kLeastRoom) throw;
         most = room /= 2;
         patience_ = kPatience;
       }
     }
   };
-  counts_.reserve((splats / kListed + 1) * sizeof(GLuint));
-  prefix_sum_.reserve(splats / kListed + 1);
   begins_.reserve((macroTiles() + 1) * sizeof(GLuint));
   lists_.reserve(tiles() * 3 * sizeof(GLuint));
-  room_.macro_pairs = std::min(std::max(room_.macro_pairs, splats), most_.macro_pairs);
+  room_.macro_pairs = std::min(std::max(room_.macro_pairs, splats.most()), most_.macro_pairs);
   reserveMost(room_.macro_pairs, most_.macro_pairs, [&] {
     const std::size_t blocks = room_.macro_pairs / kBlockSplats + 1;
-    sort_.reserve(std::max(blocks * kBlockSplats, splats));  // boxes of all are put in order there
+    sort_.reserve(std::max(blocks * kBlockSplats, splats.most()));  // boxes of all are there, too
     reserve(splats_, room_.macro_pairs * sizeof(GLuint));
     places_.reserve((blocks + macroTiles()) * kMacroColumns * kMacroRows * sizeof(GLuint));
   });
@@ -160,50 +153,46 @@ void TileRasterizer::reserve(std::size_t splats) {
   });
   reserveMost(room_.segments, most_.segments,
               [&] { reserve(partials_, room_.segments * kPartialBytes); });
-  if (segments_.bytes() < (kGroupWords + room_.segments) * sizeof(GLuint)) {
-    segments_.reserve((kGroupWords + room_.segments) * sizeof(GLuint));
-    constexpr std::array<GLuint, kGroupWords> kNoGroups{0, 1, 1};
-    segments_.write(0, kNoGroups.data(), sizeof(kNoGroups));
-  }
+  segments_.reserve((1 + room_.segments) * sizeof(GLuint));
 }
 
 // Lists the splats with the macro tiles that they touch, in the splats' order.
 void TileRasterizer::listMacroPairs(const OrderedSplats& splats) {
-  const int bits = macroBits();
-  count_.use();
-  splats.projection().bindEllipses(count_);
-  count_.bind("Drawn", splats.drawn());
+  const std::size_t work_groups = std::max(ceilDiv(splats.expected(), 256), 1u);
+  const auto begin = [&](const gl::Program& program) {
+    program.use();
+    splats.projection().bindEllipses(program);
+    counts_.bind(program);
+    program.bind("Drawn", splats.drawn());
+    program.bind("DrawnTally", splats.tally());
+    program.bind("OrderedBoxes", sort_.spareKeys());
+    program.bind("MacroPairs", macro_pairs_);
+    program.set("region", regions_.region());
+  };
+  counts_.begin(ceilDiv(splats.most(), kListed));
+  begin(count_);
   count_.bind("Boxes", splats.projection().boxes());
-  count_.bind("OrderedBoxes", sort_.spareKeys());
-  count_.bind("Counts", counts_);
-  count_.bind("Length", splats.tally().words());
-  count_.set("region", regions_.region());
-  splats.tally().dispatchGroups();
+  count_.bind("Segments", segments_);
+  count_.bind("Wanted", wanted_);
+  gl::dispatch(work_groups);
   gl::storageBarrier();
-  prefix_sum_.run(counts_, splats.tally(), macro_pair_count_, room_.macro_pairs, kListed);
-  list_macros_.use();
-  splats.projection().bindEllipses(list_macros_);
-  list_macros_.bind("Drawn", splats.drawn());
-  list_macros_.bind("OrderedBoxes", sort_.spareKeys());
-  list_macros_.bind("Firsts", counts_);
-  list_macros_.bind("Length", splats.tally().words());
-  list_macros_.bind("MacroPairs", macro_pair_count_.words());
+  begin(list_macros_);
   list_macros_.bind("Keys", sort_.keys());
-  list_macros_.bind("Splats", sort_.values(bits, splats_));
-  list_macros_.set("region", regions_.region());
-  splats.tally().dispatchGroups();
+  list_macros_.bind("Splats", sort_.values(macroBits(), splats_));
+  list_macros_.set("room", static_cast<GLuint>(room_.macro_pairs));
+  gl::dispatch(work_groups);
   gl::storageBarrier();
 }
 
 // Sorts these pairs by macro tile, and lists the splats with the tiles that they touch.
 void TileRasterizer::listByTiles(const OrderedSplats& splats) {
-  sort_.sort(macro_pair_count_, zero_, macroBits(), splats_);
+  const std::size_t expected = likely(expected_, room_.macro_pairs);
+  const std::size_t blocks = std::max<std::size_t>(ceilDiv(expected, kBlockSplats), 1);
+  sort_.sort(macro_pairs_, expected, macroBits(), splats_);
   touch_.use();
   splats.projection().bindEllipses(touch_);
   bindTouching(touch_);
-  touch_.bind("Segments", segments_);
-  touch_.bind("Wanted", wanted_);
-  macro_pair_count_.dispatchGroups();
+  gl::dispatch(blocks);
   gl::storageBarrier();
   place_.use();
   bindTouching(place_);
@@ -218,15 +207,14 @@ void TileRasterizer::listByTiles(const OrderedSplats& splats) {
   bindTouching(list_);
   list_.bind("Listed", listed_splats_);
   list_.set("room", static_cast<GLuint>(room_.pairs));
-  macro_pair_count_.dispatchGroups();
+  gl::dispatch(blocks);
   gl::storageBarrier();
-  glMemoryBarrier(GL_COMMAND_BARRIER_BIT);
 }
 
 void TileRasterizer::bindTouching(const gl::Program& program) const {
   program.bind("Keys", sort_.keys());
   program.bind("Splats", splats_);
-  program.bind("MacroPairs", macro_pair_count_.words());
+  program.bind("MacroPairs", macro_pairs_);
   program.bind("Begins", begins_);
   program.bind("Touching", sort_.spareKeys());  // a word a splat: free, since the lists are sorted
   program.bind("Places", places_);
@@ -260,16 +248,16 @@ void TileRasterizer::blendInSegments(const gl::Program& program, const OrderedSp
   program.bind("Partials", partials_);
   program.set("later", 0);
   blendTiles(program, splats, target);
+  if (room_.segments == 0) return glMemoryBarrier(kReadNext);  // no list is cut
   gl::storageBarrier();
   program.set("later", 1);
-  glBindBuffer(GL_DISPATCH_INDIRECT_BUFFER, segments_.id());
-  glDispatchComputeIndirect(0);
+  gl::dispatch(room_.segments);
   gl::storageBarrier();
   composite_.use();
   composite_.bind("Segments", segments_);
   composite_.bind("Partials", partials_);
   composite_.bind("Lists", lists_);
-  glDispatchComputeIndirect(0);
+  gl::dispatch(room_.segments);
   glMemoryBarrier(kReadNext);
 }
 
@@ -277,7 +265,7 @@ void TileRasterizer::blendTiles(const gl::Program& program, const OrderedSplats&
                                 const gl::Target& target) const {
   program.use();
   splats.projection().bindEllipses(program);
-  program.bind("DepthRange", splats.projection().depthRange());
+  program.bind("Seen", splats.projection().seen());
   program.bind("Shares", splats.projection().shares());
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.depth());
@@ -301,16 +289,15 @@ int TileRasterizer::macroColumns() const {
   return static_cast<int>(ceilDiv(std::size_t(tilesIn(width_)), kMacroColumns));
 }
 
+int TileRasterizer::macroBits() const { return std::max(bitsOf(macroTiles() - 1), 1); }
+
 int TileRasterizer::macroRows() const {
   return static_cast<int>(ceilDiv(std::size_t(tilesIn(height_)), kMacroRows));
 }
 
-int TileRasterizer::macroBits() const { return std::max(bitsOf(macroTiles() - 1), 1); }
-
 std::size_t TileRasterizer::bytes() const {
-  return counts_.bytes() + prefix_sum_.bytes() + splats_.bytes() + begins_.bytes() +
-         places_.bytes() + listed_splats_.bytes() + lists_.bytes() + segments_.bytes() +
-         partials_.bytes();
+  return counts_.bytes() + splats_.bytes() + begins_.bytes() + places_.bytes() +
+         listed_splats_.bytes() + lists_.bytes() + segments_.bytes() + partials_.bytes();
 }
 
 }  // namespace rosplat

@@ -4,7 +4,7 @@
 
 #include "gl/gl_objects.hpp"
 #include "gl/shaders.hpp"
-#include "gpu/group_sums.hpp"
+#include "gpu/group_counts.hpp"
 #include "gpu/ordered_splats.hpp"
 #include "gpu/picture_regions.hpp"
 #include "gpu/radix_sort.hpp"
@@ -17,7 +17,7 @@ namespace rosplat {
 // to back in 32-bit floats and stops where nothing more can be seen (Kerbl et al. 2023).
 class TileRasterizer {
  public:
-  // sort: may be shared with other objects.
+  // sort: may be shared with other objects; between sorts, lists use its memory.
   TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies& tallies);
 
   // Lists the splats that touch each tile of a region. If there is no room for all, some are left
@@ -64,7 +64,7 @@ class TileRasterizer {
   int macroRows() const;
   int macroBits() const;
 
-  void reserve(std::size_t splats);
+  void reserve(const OrderedSplats& splats);
   void listMacroPairs(const OrderedSplats& splats);
   void listByTiles(const OrderedSplats& splats);
   void bindTouching(const gl::Program& program) const;
@@ -76,15 +76,14 @@ class TileRasterizer {
   const gl::Program &count_, &list_macros_, &touch_, &place_, &list_, &composite_;
   const gl::Program &blend_, &blend_balls_, &blend_divided_, &blend_shares_, &blend_shares_divided_;
   const gl::Program& blend_depths_;
-  PrefixSum prefix_sum_;
   RadixSort& sort_;
-  Tally macro_pair_count_;
-  gl::Slice zero_, wanted_;
-  gl::Buffer counts_;
+  gl::Slice macro_pairs_, wanted_;
+  GroupCounts counts_;                   // of pairs of 32 splats and macro tiles
   gl::Buffer splats_, begins_, places_;  // as tile_touching.glsl and tile_places.comp have them
   gl::Buffer listed_splats_, lists_;
   gl::Buffer segments_, partials_;  // as tile_segments.glsl has them
   Wanted room_;                     // for the lists of a region
+  std::size_t expected_ = 0;        // pairs of a splat and a macro tile
   Wanted most_;                     // what room_ may become
   UsageTracker macro_pairs_used_, pairs_used_, segments_used_;
   int patience_ = 0;            // lists until memory that was lacking is tried again

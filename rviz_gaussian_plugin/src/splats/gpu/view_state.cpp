@@ -85,7 +85,7 @@ bool ViewState::hasRoom(const Frame& frame) {
 
 bool ViewState::hasRoomForLists(double growth) {
   if (!std::exchange(listed_, false)) return true;
-  return tiles_.checkRoom({tallies_.wait(Tallies::kMacroPairs, Tally::kWanted),
+  return tiles_.checkRoom({tallies_.wait(Tallies::kMacroPairs, Tallies::kWanted),
                            tallies_.wait(Tallies::kLists, 0), tallies_.wait(Tallies::kLists, 1)},
                           growth);
 }
