@@ -1,6 +1,8 @@
 #include "gpu/page_table.hpp"
 
 #include <algorithm>
+#include <cstring>
+#include <optional>
 
 #include "rosplat_core/levels/cut.hpp"
 
@@ -9,14 +11,6 @@ namespace rosplat {
 namespace {
 
 constexpr std::uint32_t kOfSlots = 0xffffffffu;  // level of a page of slots
-
-// Calls take(i) for the i-th page of the shelf, if it is shown.
-template <typename Shown, typename Take>
-void forEach(const Shown& shown, const PageShelf& shelf, const Take& take) {
-  for (std::size_t i = 0; i < shelf.end - shelf.begin; ++i) {
-    if (shown[i]) take(i);
-  }
-}
 
 }  // namespace
 
@@ -50,7 +44,11 @@ void PageTable::keep(const Frame& frame, const std::vector<std::vector<SeenGroup
   ranges_.erase(std::remove_if(ranges_.begin(), ranges_.end(),
                                [](const Range& range) { return range.count == 0; }),
                 ranges_.end());
-  if (entries_ == uploaded_ || entries_.empty()) return;
+  if (entries_.empty()) return;
+  const std::size_t bytes = entries_.size() * sizeof(Entry);
+  const bool same = entries_.size() == uploaded_.size() &&
+                    std::memcmp(entries_.data(), uploaded_.data(), bytes) == 0;
+  if (same) return;
   table_.upload(entries_);
   entries_.swap(uploaded_);
 }
@@ -58,45 +56,47 @@ void PageTable::keep(const Frame& frame, const std::vector<std::vector<SeenGroup
 void PageTable::keep(const FrameLayer& layer, const std::vector<SeenGroup>& groups,
                      std::size_t first_arena, std::size_t first_group) {
   const SlotStore& store = layer.store;
-  const auto keep = [&](const PageShelf& shelf, std::size_t i, SlotArenas::Place place,
-                        std::size_t arenas, std::uint32_t level) {
-    of_arenas_[arenas + place.arena].push_back(
-        {static_cast<std::uint32_t>(first_slots_.size()), place.page,
-         static_cast<std::uint32_t>(first_group + shelf.bounds.group), level});
-    first_slots_.push_back(shelf.first_slots[i]);
-  };
   std::vector<Cut> cuts;
   for (std::size_t group = 0; layer.cuts() && group < groups.size(); ++group) {
     cuts.push_back(layer.cut(groups[group].camera, store.pages().groups()[group].originOrZero()));
   }
-  // own: width of the nodes' own cells, 0 for slots [m]
-  const auto forEachShown = [&](const PageShelf& shelf, float own, const auto& take) {
-    const PageView& view = groups[shelf.bounds.group].pages;
+  // own: width of the nodes' own cells, 0 for slots [m]. placeOf(place): where an arena has a page,
+  // if one has it.
+  const auto keepShown = [&](const PageShelf& shelf, float own, std::size_t arenas,
+                             std::uint32_t level, const auto& placeOf) {
+    const std::uint32_t group = shelf.bounds.group;
+    const PageView& view = groups[group].pages;
     if (!view.mayShow(shelf.bounds)) return;
-    const std::uint32_t sides = view.sidesAcross(shelf.bounds);
-    if (!layer.cuts()) return forEach(view.mayShow(shelf.pages, sides), shelf, take);
-    const Cut& cut = cuts[shelf.bounds.group];
-    if (!cut.mayShow(shelf.bounds, own, shelf.widest_parent)) return;
-    const auto in_cut = cut.mayShow(shelf.pages, own, shelf.parents);
-    auto shown = view.mayShow(shelf.pages, sides);
-    for (std::size_t i = 0; i < shown.size(); ++i) shown[i] &= in_cut[i];
-    forEach(shown, shelf, take);
+    if (layer.cuts() && !cuts[group].mayShow(shelf.bounds, own, shelf.widest_parent)) return;
+    auto shown = view.mayShow(shelf.pages, view.sidesAcross(shelf.bounds));
+    if (layer.cuts()) {
+      const auto in_cut = cuts[group].mayShow(shelf.pages, own, shelf.parents);
+      for (std::size_t i = 0; i < shown.size(); ++i) shown[i] &= in_cut[i];
+    }
+    for (std::size_t i = 0; i < shelf.end - shelf.begin; ++i) {
+      if (!shown[i]) continue;
+      const std::optional<SlotArenas::Place> at = placeOf(shelf.places[i]);
+      if (!at) continue;
+      // Word by word: a value to push is put together elsewhere first, which takes twice as long.
+      Entry& entry = of_arenas_[arenas + at->arena].emplace_back();
+      entry.number = static_cast<std::uint32_t>(first_slots_.size());
+      entry.page = at->page;
+      entry.group = static_cast<std::uint32_t>(first_group) + group;
+      entry.level = level;
+      first_slots_.push_back(shelf.first_slots[i]);
+    }
   };
   for (const PageShelf& shelf : store.shelves()) {
-    forEachShown(shelf, 0, [&](std::size_t i) {
-      const std::uint32_t place = shelf.places[i];
-      if (store.holds(place)) keep(shelf, i, store.placeOf(place), first_arena, kOfSlots);
+    keepShown(shelf, 0, first_arena, kOfSlots, [&](std::uint32_t place) {
+      return store.holds(place) ? std::optional(store.placeOf(place)) : std::nullopt;
     });
   }
   const std::size_t first_of_nodes = first_arena + store.arenas().size();
   for (int number = 0; layer.cuts() && number < kLevels; ++number) {
     for (const NodeStore::OfGroup& nodes : layer.nodes->groups()) {
-      const NodeStore::Level& level = nodes[std::size_t(number)];
-      for (const PageShelf& shelf : level.shelves) {
-        forEachShown(shelf, cellSize(number), [&](std::size_t i) {
-          keep(shelf, i, layer.nodes->placeOf(shelf.places[i]), first_of_nodes,
-               static_cast<std::uint32_t>(number));
-        });
+      for (const PageShelf& shelf : nodes[std::size_t(number)].shelves) {
+        keepShown(shelf, cellSize(number), first_of_nodes, static_cast<std::uint32_t>(number),
+                  [&](std::uint32_t place) { return std::optional(layer.nodes->placeOf(place)); });
       }
     }
   }

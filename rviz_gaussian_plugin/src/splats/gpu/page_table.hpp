@@ -45,9 +45,6 @@ class PageTable {
  private:
   struct Entry {  // as in splat_pages.glsl
     std::uint32_t number, page, group, level;
-    bool operator==(const Entry& o) const {
-      return number == o.number && page == o.page && group == o.group && level == o.level;
-    }
   };
   // first_arena, first_group: those of the layer, among the arenas and groups of all layers.
   void keep(const FrameLayer& layer, const std::vector<SeenGroup>& groups, std::size_t first_arena,
