@@ -742,6 +742,22 @@ TEST_F(SplatRendererTest, DrawsInRegionsWhereListsAreTooMuch) {
   EXPECT_EQ(submits(6.1), once);
 }
 
+// Where a single macro tile has more than there is memory for.
+TEST_F(SplatRendererTest, SaysThatSplatsAreLeftOut) {
+  const Disguise disguise(static_cast<GLint64>(kSplats / 4 * Shaders::kEllipseBytes), 0);
+  SplatScene scene(shaders());
+  const auto see = [&](float size) {
+    scene.apply(manySplats(size).batch(1, {}));
+    for (int frame = 0; frame < 4; ++frame) {
+      picture(scene, Rasterizer::kTiles, OrderSource::kAuto, Canvas::kNone, largeCamera());
+    }
+    return scene.warning();
+  };
+  EXPECT_EQ(see(0.08f), "");
+  EXPECT_NE(see(20).find("missing"), std::string::npos);
+  EXPECT_EQ(see(0.08f), "");
+}
+
 // What lists take follows what is seen, and is tried again where memory was lacking.
 TEST_F(SplatRendererTest, ListsTakeTheMemoryThatTheyNeedOfLate) {
   constexpr int kPatience = 64;

@@ -63,6 +63,10 @@ std::string SplatRenderer::warning() const {
     text +=
         "the graphics driver doesn't give the depth of the opaque scene; no object hides splats";
   }
+  if (leaves_out_) {
+    text += text.empty() ? "" : "; ";
+    text += "the graphics card has no memory to list all splats; some of the farthest are missing";
+  }
   return text;
 }
 
@@ -242,6 +246,7 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView
     if (problem.empty() && !frame.order) problem = maps[i].map->detailProblem(maps[i].view_id);
     drawn.push_back({view.splats().countsOfLayers()[i], error, std::move(problem)});
   }
+  leaves_out_ = view.tiles().leavesOut();
   profile_ = stopwatch.laps();
   return drawn;
 }

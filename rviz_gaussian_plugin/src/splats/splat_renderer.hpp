@@ -133,6 +133,7 @@ class SplatRenderer {
   std::size_t picked_layers_ = 0;
   gl::Target depth_, surface_depth_, pick_depth_;
   GLenum copied_depth_ = 0, refused_depth_ = 0;  // formats that the driver copied, and refused
+  bool leaves_out_ = false;  // some splats of the last picture, for lack of memory
   std::map<std::string, double> profile_;
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };

@@ -77,6 +77,7 @@ void TileRasterizer::list(const OrderedSplats& splats, int width, int height, st
   height_ = height;
   listed_ = false;
   regions_.begin(region, macroColumns(), macroRows());
+  if (region == 0) leaves_out_ = false;
   reserve(splats);
   // The region before may still read what this one writes.
   if (regions_.count() > 1) gl::storageBarrier();
@@ -97,6 +98,7 @@ bool TileRasterizer::checkRoom(const Wanted& wanted, double growth) {
     listed_ = false;
     return false;
   }
+  leaves_out_ = leaves_out_ || times > 1;
   const Wanted needed{std::min(wanted.macro_pairs, most_.macro_pairs),
                       std::min(wanted.pairs, most_.pairs),
                       std::min(wanted.segments, most_.segments)};

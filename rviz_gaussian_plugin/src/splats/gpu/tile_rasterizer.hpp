@@ -52,6 +52,9 @@ class TileRasterizer {
   // some lists are blended whole. If so does the smallest region, some splats are left out.
   bool checkRoom(const Wanted& wanted, double growth);
 
+  // Whether some splats were left out of the last picture's lists, for lack of memory.
+  bool leavesOut() const { return leaves_out_; }
+
   // Tells that the splats or their order have changed since the last picture.
   void forget() { listed_ = false; }
 
@@ -90,6 +93,7 @@ class TileRasterizer {
   int width_ = 0, height_ = 0;  // of the picture that is listed [px]
   bool listed_ = false;
   PictureRegions regions_;
+  bool leaves_out_ = false;
   Wanted even_{};  // of the last region with an even number
 };
 
