@@ -205,6 +205,32 @@ def test_the_selection_follows_the_map(rviz: Rviz, world: World, picked: list[An
     until_selected(rviz, world, {"Slot 0"})
 
 
+def test_the_camera_looks_at_selected_splats_that_are_still_there(
+    rviz: Rviz, world: World, picked: list[Any]
+) -> None:
+    """By the key F. A splat that was emptied is nowhere, not at the map's origin."""
+    rviz.load(configuration(map_display(), tools=SELECT, view=ORBIT))
+    world.map.replace(
+        concatenate([disc((1, 0, 0), x=1.0, sigma=0.1), disc((0, 0, 1), x=2.0, sigma=0.1)])
+    )
+    ends = spot(rviz, red), spot(rviz, blue)
+    top, left = np.min(ends, axis=0) - 40
+    bottom, right = np.max(ends, axis=0) + 40
+    rviz.drag((int(top), int(left)), (int(bottom), int(right)))
+    until_selected(rviz, world, {"Slot 0", "Slot 1"})
+    world.map.delete(range(1))
+    world.spin_until(lambda: selection(rviz)["Slot 0"] == {})
+    with rviz.held("f"):
+        pass
+    world.spin_until(lambda: focal_point(rviz)[0] > 1.0)
+    np.testing.assert_allclose(focal_point(rviz), (2, 0, 0), atol=0.1)
+
+
+def focal_point(rviz: Rviz) -> list[float]:
+    """Of an orbiting view. [m]"""
+    return [float(value) for value in rviz.properties(root="view")["Focal Point"].split("; ")]
+
+
 def test_hundreds_are_counted_not_listed(rviz: Rviz, world: World, picked: list[Any]) -> None:
     grid = [
         disc((0, 0, 1), x=x, y=y, sigma=0.02)

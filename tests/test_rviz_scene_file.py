@@ -91,6 +91,19 @@ def test_a_dropped_scene_is_opened_and_nothing_else(
     assert not rviz_alone.ask("drop", file=str(scene))
 
 
+def test_scenes_of_all_kinds_can_be_dropped(rviz_alone: Rviz, tmp_path: Path) -> None:
+    for suffix in ("ply", "spz", "sog", "splat", "ksplat", "npz", "glb", "usdz"):
+        dropped = tmp_path / f"scene.{suffix.upper()}"
+        dropped.touch()
+        assert rviz_alone.ask("drop", file=str(dropped)), suffix
+    for meta in ("meta.json", "lod-meta.json"):
+        (tmp_path / meta).mkdir()
+        (tmp_path / meta / meta).touch()
+        assert rviz_alone.ask("drop", file=str(tmp_path / meta)), meta
+        assert rviz_alone.ask("drop", file=str(tmp_path / meta / meta)), meta
+    assert not rviz_alone.ask("drop", file=str(tmp_path))
+
+
 def test_the_status_counts_what_has_arrived(rviz_alone: Rviz, large: Path) -> None:
     rviz_alone.set("Map", "Scene File", value=str(large))
     texts = []

@@ -382,6 +382,33 @@ def test_with_a_display_a_window_asks_for_its_view(
     assert "Traceback" not in output
 
 
+def test_a_closed_window_leaves_its_last_figures(
+    display: str, node: Node, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pygame = pytest.importorskip("pygame")
+    from rviz_gaussian_plugin.viewer.command import show_window
+
+    publisher = MapPublisher(node)
+    publisher.replace(discs((RED, 2.0)))
+    rclpy.init(args=["--ros-args", "-r", f"__ns:={node.get_namespace()}"])
+    viewer = Viewer()
+    draw_frame = viewer.draw_frame
+
+    def draw_and_close(*arguments: Any) -> dict[str, Any]:
+        if viewer.complete():
+            pygame.event.post(pygame.event.Event(pygame.QUIT))
+        return draw_frame(*arguments)
+
+    monkeypatch.setattr(viewer, "draw_frame", draw_and_close)
+    try:
+        with spinning(viewer, threads=4):
+            show_window(viewer)
+    finally:
+        del viewer.renderer
+        rclpy.try_shutdown()
+    assert "1 splats, 1 in view" in capsys.readouterr().out
+
+
 def test_a_renderer_that_sorts_itself_asks_no_sorter(
     display: str, node: Node, listener: Any
 ) -> None:
