@@ -97,10 +97,11 @@ def test_scenes_of_all_kinds_can_be_dropped(rviz_alone: Rviz, tmp_path: Path) ->
         dropped.touch()
         assert rviz_alone.ask("drop", file=str(dropped)), suffix
     for meta in ("meta.json", "lod-meta.json"):
-        (tmp_path / meta).mkdir()
-        (tmp_path / meta / meta).touch()
-        assert rviz_alone.ask("drop", file=str(tmp_path / meta)), meta
-        assert rviz_alone.ask("drop", file=str(tmp_path / meta / meta)), meta
+        folder = tmp_path / f"folder of {meta}"
+        folder.mkdir()
+        (folder / meta).touch()
+        assert rviz_alone.ask("drop", file=str(folder)), meta
+        assert rviz_alone.ask("drop", file=str(folder / meta)), meta
     assert not rviz_alone.ask("drop", file=str(tmp_path))
 
 
