@@ -33,7 +33,7 @@ from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError
 from rosplat_tools.cameras.poses import Poses, declare_poses
 from rosplat_tools.frames import LATEST
 from rosplat_tools.images import to_bytes, to_image
-from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.parameters import declare, declare_clip
 from rosplat_tools.program.running import run_node
 
 # Reliable: such a publisher serves best-effort subscribers, too.
@@ -57,13 +57,10 @@ class CameraNode(Node):
             0.01,
             1000.0,
         )
-        near = declare(self, "near", 0.01, "Splats nearer than this are left out. [m]", 1e-4, 1e6)
-        far = declare(self, "far", 1e6, "Splats farther than this are left out. [m]", 1e-3, 1e10)
+        near, far = declare_clip(self)
         depth = declare(self, "depth", DEPTHS[0], "Which depth: " + ", ".join(DEPTHS))
         if len(set(names)) < len(names) or not all(name.isidentifier() for name in names):
             raise SceneError(f"parameter cameras: expected names, each once, got {names}")
-        if not near < far:
-            raise SceneError(f"parameters near, far: {near} is not less than {far}")
         if depth not in DEPTHS:
             known = ", ".join(DEPTHS)
             raise SceneError(f"parameter depth: expected one of {known}, got '{shown(depth)}'")

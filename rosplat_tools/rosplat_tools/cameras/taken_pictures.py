@@ -20,7 +20,6 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from rosplat_core.lenses import Lens
-from rosplat_core.splats import SceneError
 from rosplat_sorter.qos import overridable
 from rosplat_tools.cameras import calibrations
 from rosplat_tools.cameras.drawn_map import DrawnMap
@@ -28,7 +27,7 @@ from rosplat_tools.cameras.health import Health, NoPicture
 from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError
 from rosplat_tools.cameras.poses import declare_poses
 from rosplat_tools.images import from_image, read_mask
-from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.parameters import declare, declare_clip
 
 WAITING = 8  # pictures that wait for their poses
 SILENCE = 5.0  # after which the log says that no picture has come [s]
@@ -135,10 +134,7 @@ class TakenPictures(Generic[Optics]):
         """
         rectified = declare(node, "rectified", False, "Pictures are rectified, by r and p.")
         mask = declare(node, "mask", "", "Picture file, black where pixels don't count.")
-        self.near = declare(node, "near", 0.01, "Splats nearer are left out. [m]", 1e-4, 1e6)
-        self.far = declare(node, "far", 1e6, "Splats farther are left out. [m]", 1e-3, 1e10)
-        if not self.near < self.far:
-            raise SceneError(f"parameters near, far: {self.near} is not less than {self.far}")
+        self.near, self.far = declare_clip(node)
         pixels = read_mask(mask) if mask else None
         self._reader = PictureReader(prepare, rectified=rectified, mask=pixels)
         self._map, self._heard = drawn_map, heard

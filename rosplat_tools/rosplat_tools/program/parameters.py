@@ -48,3 +48,15 @@ def declare_compression(node: Node) -> str:
     if compression not in COMPRESSIONS:
         raise SceneError(f"compression: expected one of {known}, got '{shown(compression)}'")
     return compression
+
+
+def declare_clip(node: Node) -> tuple[float, float]:
+    """Declares `near` and `far` of a camera, and returns both. [m]
+
+    Raises SceneError where nothing is between them.
+    """
+    near: float = declare(node, "near", 0.01, "Splats nearer are left out. [m]", 1e-4, 1e6)
+    far: float = declare(node, "far", 1e6, "Splats farther are left out. [m]", 1e-3, 1e10)
+    if not near < far:
+        raise SceneError(f"parameters near, far: {near} is not less than {far}")
+    return near, far
