@@ -15,7 +15,8 @@ const uint kLarge = 32u, kParts = 256u / kListed;
 // The nearest splats are the largest. Of few splats, a work group takes 32 of each eighth of the order.
 const uint kFewSplats = 524288u;
 
-shared uint sums[256], pairs_before[kParts];
+shared uint sums[256];             // of a splat's pairs, and of those before it in its 32
+shared uint pairs_before[kParts];  // of 32 splats, or of all 256 in the first
 shared uint large_count, most_rows;
 shared uint large[256], large_next[256];
 shared int begins_of[kParts][32], ends_of[kParts][32];  // columns of rows

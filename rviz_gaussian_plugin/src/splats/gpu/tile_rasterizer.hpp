@@ -86,15 +86,15 @@ class TileRasterizer {
   gl::Buffer listed_splats_, lists_;
   gl::Buffer segments_, partials_;  // as tile_segments.glsl has them
   Wanted room_;                     // for the lists of a region
-  std::size_t expected_ = 0;        // pairs of a splat and a macro tile
+  std::size_t expected_ = 0;        // pairs of a splat and a macro tile, of the last lists
   Wanted most_;                     // what room_ may become
   UsageTracker macro_pairs_used_, pairs_used_, segments_used_;
   int patience_ = 0;            // lists until memory that was lacking is tried again
   int width_ = 0, height_ = 0;  // of the picture that is listed [px]
   bool listed_ = false;
   PictureRegions regions_;
-  bool leaves_out_ = false;
-  Wanted even_{};  // of the last region with an even number
+  bool leaves_out_ = false;  // in this picture
+  Wanted even_{};            // of the last region with an even number
 };
 
 }  // namespace rosplat
