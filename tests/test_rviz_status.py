@@ -314,11 +314,18 @@ def test_diagnostics_have_the_worst_line_and_figures(rviz: Rviz, world: World) -
     world.map.replace(disc((1, 0, 0)))
     world.place()
     rviz.until(lambda s: red(s).any())
-    world.spin_until(lambda: heard[-1].level == DiagnosticStatus.OK)
+
+    def figures() -> dict[str, str]:
+        return {value.key: value.value for value in heard[-1].values}
+
+    # A status from before the first frame may come after it.
+    world.spin_until(
+        lambda: heard[-1].level == DiagnosticStatus.OK and figures().get("Views") == "1"
+    )
     assert heard[-1].name.endswith(": /gaussians")
-    values = {value.key: value.value for value in heard[-1].values}
+    values = figures()
     section = (ROOT / "docs/reference.md").read_text().partition("## Diagnostics")[2]
     assert all(word in section for word in values)
     assert int(values["Splats"]) == len(world.map)
-    assert (values["Views"], values["Map"]) == ("1", world.map.map_id)
+    assert values["Map"] == world.map.map_id
     assert int(values["Memory (bytes)"]) > 1e7
