@@ -13,9 +13,11 @@ class GroupCounts {
   // Begins new counts, of so many groups.
   void begin(std::size_t groups) {
     if (groups > kSpan * spans_) {
-      spans_ = ceilDiv(withSlack(groups), kSpan);
-      words_.reserve((2 + kSpan) * spans_ * sizeof(GLuint));
-      words_.zero(0, 2 * spans_ * sizeof(GLuint));
+      const std::size_t spans = ceilDiv(withSlack(groups), kSpan);
+      spans_ = 0;  // stays so if memory is lacking
+      words_.reserve((2 + kSpan) * spans * sizeof(GLuint));
+      words_.zero(0, 2 * spans * sizeof(GLuint));
+      spans_ = spans;
     }
     odd_ = !odd_;
   }
