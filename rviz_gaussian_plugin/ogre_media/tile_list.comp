@@ -1,10 +1,13 @@
-// Lists the splats that touch each tile, nearest first: those of a block a work group.
+// Lists the splats that touch each tile, nearest first: those of a block a work group. Reports the counts of all
+// shaders up to this one to the CPU.
 
 layout(local_size_x = 256) in;
 layout(std430) readonly buffer Begins { uint begins[]; };
 layout(std430) readonly buffer Touching { uint touching[]; };
 layout(std430) readonly buffer Places { uint places[]; };  // where a macro tile's splats of a block go
 layout(std430) writeonly buffer Listed { uint listed[]; };
+layout(std430) readonly buffer Tallies { uint tallies[256]; };
+layout(std430) writeonly buffer Report { uint report[]; };
 
 uniform uint room;
 
@@ -40,6 +43,7 @@ void listBlock(uint block) {
 }
 
 void main() {
+  if (workGroup() == 0u) report[gl_LocalInvocationIndex] = tallies[gl_LocalInvocationIndex];
   for (uint block = workGroup(); kBlockSplats * block < macro_pairs.count; block += workGroups()) {
     listBlock(block);
     barrier();

@@ -86,8 +86,8 @@ void waitFor(GLsync fence) {
   }
 }
 
-Readback::Readback(std::size_t words) {
-  const auto bytes = static_cast<GLsizeiptr>(words * sizeof(GLuint));
+Readback::Readback(std::size_t words) : bytes_(words * sizeof(GLuint)) {
+  const auto bytes = static_cast<GLsizeiptr>(bytes_);
   constexpr GLbitfield kAccess = GL_MAP_READ_BIT | GL_MAP_PERSISTENT_BIT | GL_MAP_COHERENT_BIT;
   GLuint id = 0;
   glGenBuffers(1, &id);
@@ -103,6 +103,15 @@ void Readback::ask(const Buffer& buffer) {
   glBindBuffer(GL_COPY_WRITE_BUFFER, copy_.id());
   glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, 0, 0,
                       static_cast<GLsizeiptr>(buffer.bytes()));
+  renewFence();
+}
+
+void Readback::written() {
+  glMemoryBarrier(GL_CLIENT_MAPPED_BUFFER_BARRIER_BIT);
+  renewFence();
+}
+
+void Readback::renewFence() {
   if (copied_) glDeleteSync(copied_);
   copied_ = glFenceSync(GL_SYNC_GPU_COMMANDS_COMPLETE, 0);
 }

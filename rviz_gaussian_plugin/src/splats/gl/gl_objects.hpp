@@ -73,21 +73,26 @@ struct Slice {
 // Waits until a fence is passed. Throws Error if the graphics card doesn't answer for a minute.
 void waitFor(GLsync fence);
 
-// A copy of a small buffer for the CPU, which waits for the copy alone: the graphics card goes on.
+// A few words for the CPU, which waits for these alone: the graphics card goes on.
 class Readback {
  public:
-  // words: size of the buffers to copy.
   explicit Readback(std::size_t words);
 
-  // Submits the copy: of the buffer as the commands submitted so far leave it.
+  // Submits a copy: of the start of a buffer as the commands submitted so far leave it.
   void ask(const Buffer& buffer);
-  // Waits for the last copy that was asked for, and returns its words. Throws as waitFor().
+  // For a shader that writes the words: call written() after its dispatch.
+  Slice slice() const { return {copy_.id(), 0, bytes_}; }
+  void written();
+  // Waits for the last ask() or written(), and returns the words. Throws as waitFor().
   const GLuint* wait() const;
 
  private:
+  void renewFence();
+
   Object copy_;
+  std::size_t bytes_;
   const GLuint* mapped_ = nullptr;
-  GLsync copied_ = nullptr;  // of the last copy; the destructor leaves it to its context
+  GLsync copied_ = nullptr;  // the destructor leaves it to its context
 };
 
 // A linked program. Uniforms are set and storage blocks are bound by name; names that the program

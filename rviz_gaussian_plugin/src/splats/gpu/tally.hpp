@@ -45,8 +45,8 @@ class UsageTracker {
   int uses_ = 0;
 };
 
-// The counts of a view that shaders find, side by side, so that one copy brings all of them to the
-// CPU. Most are a Tally, as splat_common.glsl has it.
+// The counts of a view that shaders find, side by side, so that one shader reports all of them to
+// the CPU. Most are a Tally, as splat_common.glsl has it.
 class Tallies {
  public:
   enum Of : std::size_t {
@@ -59,22 +59,28 @@ class Tallies {
   // Words of a SeenTally.
   static constexpr std::size_t kWanted = 1, kNearest = 2, kFarthest = 3;
 
-  Tallies() : words_(kCount * gl::Slice::kAlignment, GL_DYNAMIC_COPY), copy_(kCount * kStride) {
+  Tallies() : words_(kCount * gl::Slice::kAlignment, GL_DYNAMIC_COPY), report_(kCount * kStride) {
     gl::settle();
     words_.zero();
   }
 
   gl::Slice of(Of what) const { return {words_.id(), what * gl::Slice::kAlignment, kBytes}; }
-  void ask() { copy_.ask(words_); }
-  // Waits for the copy of the last ask(), and returns a word of a count.
-  GLuint wait(Of what, std::size_t word) const { return copy_.wait()[what * kStride + word]; }
+  // Lets a program report them, as tile_list.comp does. Call reported() after its dispatch.
+  void bind(const gl::Program& program) const {
+    program.bind("Tallies", words_);
+    program.bind("Report", report_.slice());
+  }
+  void reported() { report_.written(); }
+  // Waits for the last report, and returns a word of a count.
+  GLuint wait(Of what, std::size_t word) const { return report_.wait()[what * kStride + word]; }
 
  private:
   static constexpr std::size_t kStride = gl::Slice::kAlignment / sizeof(GLuint);
   static constexpr std::size_t kBytes = 6 * sizeof(GLuint);
+  static_assert(kCount * kStride == 256);  // as tile_list.comp has it
 
   gl::Buffer words_;
-  gl::Readback copy_;
+  gl::Readback report_;
 };
 
 // Writes a count that the CPU knows to a Tally.

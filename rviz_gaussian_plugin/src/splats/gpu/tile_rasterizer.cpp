@@ -65,6 +65,7 @@ TileRasterizer::TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies&
       blend_depths_(blender(shaders, {"tile_segments.glsl", "splat_balls.glsl", "splat_shares.glsl",
                                       "splat_depths.glsl"})),
       sort_(sort),
+      tallies_(tallies),
       macro_pairs_(tallies.of(Tallies::kMacroPairs)),
       wanted_(tallies.of(Tallies::kLists)),
       room_{},
@@ -208,6 +209,7 @@ void TileRasterizer::listByTiles(const OrderedSplats& splats) {
   list_.use();
   bindTouching(list_);
   list_.bind("Listed", listed_splats_);
+  tallies_.bind(list_);
   list_.set("room", static_cast<GLuint>(room_.pairs));
   gl::dispatch(blocks);
   gl::storageBarrier();

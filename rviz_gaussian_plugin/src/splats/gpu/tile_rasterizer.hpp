@@ -80,6 +80,7 @@ class TileRasterizer {
   const gl::Program &blend_, &blend_balls_, &blend_divided_, &blend_shares_, &blend_shares_divided_;
   const gl::Program& blend_depths_;
   RadixSort& sort_;
+  const Tallies& tallies_;
   gl::Slice macro_pairs_, wanted_;
   GroupCounts counts_;                   // of pairs of 32 splats and macro tiles
   gl::Buffer splats_, begins_, places_;  // as tile_touching.glsl and tile_places.comp have them

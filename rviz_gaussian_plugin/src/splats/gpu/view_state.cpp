@@ -24,7 +24,6 @@ void ViewState::prepare(const Frame& frame) {
   if (splats_.answers(frame)) return;
   splats_.prepare(frame);
   tiles_.forget();
-  unknown_ = true;
 }
 
 void ViewState::inRegions(gl::Stopwatch& stopwatch, const std::function<void()>& draw) {
@@ -32,8 +31,8 @@ void ViewState::inRegions(gl::Stopwatch& stopwatch, const std::function<void()>&
   std::size_t region = 0;
   do {
     tiles_.list(splats_, width_, height_, region, stopwatch);
-    ask();
-    listed_ = true;
+    tallies_.reported();
+    listed_ = reported_ = true;
     const std::size_t regions = tiles_.regions();
     // Regions share the memory of their lists, so this one must be whole before the next begins.
     if (regions > 1 && !hasRoomForLists(1)) {
@@ -59,16 +58,8 @@ void ViewState::blendDepth(const gl::Target& target) {
   } while (!hasRoomForLists(1));
 }
 
-void ViewState::ask() {
-  tallies_.ask();
-  asked_ = true;
-  unknown_ = false;
-}
-
 bool ViewState::hasRoom(const Frame& frame) {
-  if (unknown_) ask();
-  if (!asked_) return true;
-  asked_ = false;
+  if (!std::exchange(reported_, false)) return true;
   // Assumes that splats to come are as visible as the present ones; not all announced ones come.
   std::size_t expected = 0, capacity = 0, most = 0;
   for (const FrameLayer& layer : frame.layers) {

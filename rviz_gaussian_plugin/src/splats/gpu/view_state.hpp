@@ -50,15 +50,13 @@ class ViewState {
   bool open = false;             // the depth of `color` hides nothing
 
  private:
-  void ask();
   bool hasRoomForLists(double growth);
 
   Tallies tallies_;
   OrderedSplats splats_;
   TileRasterizer tiles_;
   gl::Buffer block_;
-  bool unknown_ = false;        // the counts of the submitted splats are still to be asked for
-  bool asked_ = false;          // counts were asked for, and hasRoom() is to read them
+  bool reported_ = false;       // counts are reported, and hasRoom() is to read them
   bool listed_ = false;         // splats were listed by tiles in this frame
   int width_ = 0, height_ = 0;  // of the last frame [px]
   bool top_first_ = false;
