@@ -1627,7 +1627,7 @@ std::vector<float> pictureOf(SplatScene& first, const RenderSettings& of_first, 
     part.scene->prepare(part.settings);
   }
   EXPECT_TRUE(SplatScene::together(first, second));
-  SplatScene::draw(parts, Canvas::kNone, true, {});
+  SplatScene::draw(SplatScene::begin(parts, Canvas::kNone, true), {});
   return first.readColor();
 }
 
@@ -1779,8 +1779,10 @@ TEST_F(SplatRendererTest, DrawsMapsOfOtherFramesInOneOrder) {
   moved.translation[0] += 1000;
   second.setCamera("second's view", 1, moved);
   for (SplatScene* scene : {&first, &second}) scene->prepare(settings);
-  SplatScene::draw({{&first, "first's view", settings}, {&second, "second's view", settings}},
-                   Canvas::kNone, true, {});
+  const auto picture_of_both =
+      SplatScene::begin({{&first, "first's view", settings}, {&second, "second's view", settings}},
+                        Canvas::kNone, true);
+  SplatScene::draw(picture_of_both, {});
   const auto together = first.readColor();
   const auto expected = picture(both, Rasterizer::kTiles, OrderSource::kAuto);
   double squares = 0;

@@ -227,13 +227,14 @@ std::vector<std::uint8_t> OffscreenRenderer::readPicture(const std::array<float,
 void OffscreenRenderer::clear() const {
   GLuint picture = 0;
   texture_->getCustomAttribute("GLID", &picture);
-  const gl::StateGuard guard;
+  const gl::ComputeScope scope;
   clear_->use();
   glUniform3fv(clear_->at("background"), 1, background_.data());
   glBindImageTexture(0, picture, 0, GL_FALSE, 0, GL_WRITE_ONLY, GL_RGBA8);
   glDispatchCompute(GLuint(tilesIn(width())), GLuint(tilesIn(height())), 1);
   glMemoryBarrier(GL_FRAMEBUFFER_BARRIER_BIT | GL_SHADER_IMAGE_ACCESS_BARRIER_BIT |
                   GL_TEXTURE_UPDATE_BARRIER_BIT);
+  glFlush();  // the graphics card begins
 }
 
 bool OffscreenRenderer::failed() const { return glGetError() != GL_NO_ERROR; }

@@ -101,14 +101,13 @@ std::vector<CardView> CardDrawer::views(const std::vector<Look>& looks) {
   return views;
 }
 
-std::vector<FrameReport> CardDrawer::draw(const std::vector<Look>& looks, Canvas canvas,
+std::vector<FrameReport> CardDrawer::draw(const std::vector<Look>& looks, Canvas,
                                           const Surroundings& around) {
-  const std::vector<CardView> views = CardDrawer::views(looks);
-  const auto drawn = renderer_->draw(views, canvas, around);
+  const auto drawn = renderer_->draw(around);
   std::vector<FrameReport> reports(looks.size());
   for (std::size_t i = 0; i < looks.size(); ++i) {
     FrameReport& report = reports[i];
-    report.map = views[i].state;
+    report.map = looks[i].drawer->map();
     report.error = drawn[i].error;
     report.detail_error = drawn[i].detail_error;
     report.rasterizer = "tiles";

@@ -37,6 +37,9 @@ class CardDrawer : public Drawer {
 
   bool drawsWith(const Drawer& other) override;
   bool ready(const Look&) override { return true; }
+  void begin(const std::vector<Look>& looks, Canvas canvas) override {
+    renderer_->begin(views(looks), canvas);
+  }
   std::vector<FrameReport> draw(const std::vector<Look>& looks, Canvas canvas,
                                 const Surroundings& around) override;
   void hideFarther(const std::string& view_id) const override { renderer_->hideFarther(view_id); }

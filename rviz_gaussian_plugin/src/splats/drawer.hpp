@@ -92,8 +92,9 @@ class Drawer {
   virtual bool drawsWith(const Drawer& other) = 0;
   // Whether the picture for a look is finished. If not, begins that picture.
   virtual bool ready(const Look& look) = 0;
-  // Draws maps in one picture, this drawer's map among them, into the current framebuffer. Returns
-  // a report of each map.
+  // Begins a picture of maps, this drawer's map among them. draw() follows before the next one.
+  virtual void begin(const std::vector<Look>& /*looks*/, Canvas) {}
+  // Draws the picture into the current framebuffer. Returns a report of each map.
   virtual std::vector<FrameReport> draw(const std::vector<Look>& looks, Canvas canvas,
                                         const Surroundings& around) = 0;
   // After draw() of a view with translucent objects. SplatRenderer explains these five methods.

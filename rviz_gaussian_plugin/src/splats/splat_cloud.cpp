@@ -122,6 +122,21 @@ void clearStencilToo(Ogre::Viewport& viewport) {
   }
 }
 
+// A narrow box of rviz's selection may have no pixels once shrunk to its texture.
+bool hasPixels(const Ogre::Viewport& viewport) {
+  return viewport.getActualWidth() > 0 && viewport.getActualHeight() > 0;
+}
+
+// rviz's mouse tools draw the scene in schemes of their own.
+bool showsScene(const Ogre::Viewport& viewport) {
+  return hasPixels(viewport) &&
+         viewport.getMaterialScheme() == Ogre::MaterialManager::DEFAULT_SCHEME_NAME;
+}
+
+Canvas canvasOf(const Ogre::Viewport& viewport) {
+  return viewport.getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;
+}
+
 // Converts an Ogre camera to the optical convention.
 SplatCamera cameraOf(const Ogre::Camera& ogre, int width, int height) {
   SplatCamera camera;
@@ -175,6 +190,23 @@ SplatCloud::SplatCloud(const std::string& name, const std::string& resource_grou
   callUndertaker();
 }
 
+struct SplatCloud::Starter : Ogre::SceneManager::Listener {
+  void postFindVisibleObjects(Ogre::SceneManager* manager,
+                              Ogre::SceneManager::IlluminationRenderStage,
+                              Ogre::Viewport*) override {
+    SplatCloud::begin(*manager);
+  }
+};
+
+void SplatCloud::_notifyAttached(Ogre::Node* parent, bool is_tag_point) {
+  static auto* const starter = new Starter;  // scene managers may end after all statics
+  MovableObject::_notifyAttached(parent, is_tag_point);
+  if (const auto* node = dynamic_cast<Ogre::SceneNode*>(parent)) {
+    node->getCreator()->removeListener(starter);  // not twice
+    node->getCreator()->addListener(starter);
+  }
+}
+
 const Ogre::String& SplatCloud::getMovableType() const {
   static const Ogre::String type = "SplatCloud";
   return type;
@@ -191,6 +223,7 @@ void SplatCloud::_notifyCurrentCamera(Ogre::Camera* camera) {
 
 void SplatCloud::_updateRenderQueue(Ogre::RenderQueue* queue) {
   drawn_ = false;
+  begun_.clear();
   divided_.clear();
   auto& [behind, hide, before] = layers_;
   queue->addRenderable(&behind, Ogre::RENDER_QUEUE_MAIN, mRenderQueuePriority);
@@ -288,22 +321,26 @@ SplatCamera SplatCloud::cameraIn(const Ogre::Viewport& viewport) const {
   return camera;
 }
 
-void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
+void SplatCloud::begin(Ogre::SceneManager& manager) {
   Ogre::Viewport* viewport = manager.getCurrentViewport();
-  // rviz's mouse tools draw the scene in schemes of their own.
-  const std::string& scheme = viewport->getMaterialScheme();
-  const bool seen = scheme == Ogre::MaterialManager::DEFAULT_SCHEME_NAME;
+  const std::vector<SplatCloud*> clouds = cloudsIn(manager);
+  if (clouds.empty() || !showsScene(*viewport)) return;
+  clearStencilToo(*viewport);
+  std::vector<Group> groups = groupsOf(clouds, &SplatCloud::seen, viewport);
+  forEach(groups, [&](Group& group) {
+    group.picture =
+        SplatScene::begin(group.maps, canvasOf(*viewport), group.clouds.front()->sort_now_);
+  });
+  clouds.front()->begun_ = std::move(groups);
+}
+
+void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
+  const Ogre::Viewport& viewport = *manager.getCurrentViewport();
+  if (showsScene(viewport)) return drawSeen(turn, manager);
+  if (turn != Turn::kBefore || drawn_ || !hasPixels(viewport)) return;
+  const std::string& scheme = viewport.getMaterialScheme();
   const bool picked = pick_handle_ && (scheme == "Pick" || scheme == "Pick1");
-  if (!(seen || scheme == "Depth" || picked) || !camera_) return;
-  // A narrow box of rviz's selection may have no pixels once shrunk to its texture.
-  if (viewport->getActualWidth() < 1 || viewport->getActualHeight() < 1) return;
-  const Canvas canvas =
-      viewport->getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;
-  if (seen) {
-    clearStencilToo(*viewport);
-    return drawSeen(turn, manager, canvas);
-  }
-  if (turn == Turn::kBefore && !drawn_) drawTouched(manager, canvas);
+  if (scheme == "Depth" || picked) drawTouched(manager, canvasOf(viewport));
 }
 
 std::optional<SplatScene::InView> SplatCloud::seen(Ogre::Viewport* viewport) {
@@ -332,13 +369,12 @@ std::optional<SplatScene::InView> SplatCloud::touched(Ogre::Viewport* viewport) 
   return SplatScene::InView{scene_.get(), view->first, settings_, camera};
 }
 
-void SplatCloud::drawAll(Ogre::SceneManager& manager, Find find,
-                         const std::function<void(const Group&)>& draw) {
+std::vector<SplatCloud::Group> SplatCloud::groupsOf(const std::vector<SplatCloud*>& clouds,
+                                                    Find find, Ogre::Viewport* viewport) {
   std::vector<Group> groups;
-  for (SplatCloud* cloud : cloudsIn(manager)) {
-    cloud->drawn_ = true;
+  for (SplatCloud* cloud : clouds) {
     try {
-      const std::optional<SplatScene::InView> found = (cloud->*find)(manager.getCurrentViewport());
+      const std::optional<SplatScene::InView> found = (cloud->*find)(viewport);
       if (!found) continue;
       found->scene->prepare(found->settings);
       auto group = std::find_if(groups.begin(), groups.end(), [&found](const Group& other) {
@@ -351,16 +387,23 @@ void SplatCloud::drawAll(Ogre::SceneManager& manager, Find find,
       cloud->fail(error);
     }
   }
-  for (const Group& group : groups) {
-    try {
-      draw(group);
-    } catch (const std::exception& error) {
-      for (SplatCloud* cloud : group.clouds) cloud->fail(error);
-    }
-  }
+  return groups;
 }
 
-void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas) {
+void SplatCloud::forEach(std::vector<Group>& groups, const std::function<void(Group&)>& act) {
+  const auto fails = [&act](Group& group) {
+    try {
+      act(group);
+      return false;
+    } catch (const std::exception& error) {
+      for (SplatCloud* cloud : group.clouds) cloud->fail(error);
+      return true;
+    }
+  };
+  groups.erase(std::remove_if(groups.begin(), groups.end(), fails), groups.end());
+}
+
+void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager) {
   if (drawn_) {
     if (divided_.empty()) return;
     if (turn == Turn::kHide) scene_->hideFarther(divided_);
@@ -384,8 +427,10 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas)
         reachOf(objects, *camera_, viewport.getActualWidth(), viewport.getActualHeight());
   }
   around.opaque = anyOpaque(manager);
-  drawAll(manager, &SplatCloud::seen, [&](const Group& group) {
-    SplatScene::draw(group.maps, canvas, sort_now_, around);
+  const std::vector<SplatCloud*> clouds = cloudsIn(manager);
+  for (SplatCloud* cloud : clouds) cloud->drawn_ = true;
+  forEach(clouds.front()->begun_, [&](Group& group) {
+    SplatScene::draw(group.picture, around);
     if (around.translucent) group.clouds.front()->divided_ = group.maps.front().view_id;
     for (SplatCloud* cloud : group.clouds) cloud->error_.clear();
   });
@@ -395,7 +440,10 @@ void SplatCloud::drawTouched(Ogre::SceneManager& manager, Canvas canvas) {
   static std::uint32_t ticket = 0;
   const std::string& scheme = manager.getCurrentViewport()->getMaterialScheme();
   if (scheme == "Pick") ticket = ticket % kMostTickets + 1;
-  drawAll(manager, &SplatCloud::touched, [&](const Group& group) {
+  const std::vector<SplatCloud*> clouds = cloudsIn(manager);
+  for (SplatCloud* cloud : clouds) cloud->drawn_ = true;
+  std::vector<Group> groups = groupsOf(clouds, &SplatCloud::touched, manager.getCurrentViewport());
+  forEach(groups, [&](const Group& group) {
     if (scheme == "Depth") {
       return SplatScene::drawSurface(group.maps, canvas, camera_->getFarClipDistance());
     }

@@ -60,6 +60,7 @@ class SplatCloud : public Ogre::MovableObject {
   const Ogre::String& getMovableType() const override;
   const Ogre::AxisAlignedBox& getBoundingBox() const override;
   Ogre::Real getBoundingRadius() const override;
+  void _notifyAttached(Ogre::Node* parent, bool is_tag_point) override;
   void _notifyCurrentCamera(Ogre::Camera* camera) override;
   void _updateRenderQueue(Ogre::RenderQueue* queue) override;
   void visitRenderables(Ogre::Renderable::Visitor* visitor, bool debug) override;
@@ -93,18 +94,26 @@ class SplatCloud : public Ogre::MovableObject {
   struct Group {
     std::vector<SplatCloud*> clouds;
     std::vector<SplatScene::InView> maps;
+    SplatScene::Picture picture = {};
   };
+  // Has all clouds in view begin() before Ogre draws anything.
+  struct Starter;
 
   // The clouds that Ogre is drawing now, oldest first.
   static std::vector<SplatCloud*> cloudsIn(Ogre::SceneManager& manager);
+  // Begins the pictures of all clouds that Ogre is going to draw. The oldest cloud keeps them.
+  static void begin(Ogre::SceneManager& manager);
   void draw(Turn turn, Ogre::SceneManager& manager);
-  void drawSeen(Turn turn, Ogre::SceneManager& manager, Canvas canvas);
+  void drawSeen(Turn turn, Ogre::SceneManager& manager);
   // For rviz's mouse tools.
   void drawTouched(Ogre::SceneManager& manager, Canvas canvas);
-  // Draws all clouds that Ogre is drawing now, group by group. `find` tells how a cloud is in view.
+  // Returns the clouds that are in view, in groups. `find` tells how a cloud is in view.
   using Find = std::optional<SplatScene::InView> (SplatCloud::*)(Ogre::Viewport*);
-  static void drawAll(Ogre::SceneManager& manager, Find find,
-                      const std::function<void(const Group&)>& draw);
+  static std::vector<Group> groupsOf(const std::vector<SplatCloud*>& clouds, Find find,
+                                     Ogre::Viewport* viewport);
+  // Does something for each group. What it throws becomes the error of its clouds, and ends the
+  // group.
+  static void forEach(std::vector<Group>& groups, const std::function<void(Group&)>& act);
   // The map as a viewport sees it; none if it is not to be drawn, as for a while after an error.
   std::optional<SplatScene::InView> seen(Ogre::Viewport* viewport);
   // The same for a viewport of rviz's mouse tools; none if no view has shown the map.
@@ -126,6 +135,7 @@ class SplatCloud : public Ogre::MovableObject {
   bool sort_now_ = false;
   std::uint32_t pick_handle_ = 0;
   std::vector<SplatCloud*> picked_with_;  // which this one drew in the last pick, itself first
+  std::vector<Group> begun_;              // in this frame, if this is the oldest cloud
   bool drawn_ = false;                    // in this frame
   // The view drawn in this frame, if divided at translucent objects: kHide and kBefore follow.
   std::string divided_;

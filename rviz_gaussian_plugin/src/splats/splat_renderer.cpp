@@ -45,7 +45,7 @@ SplatRenderer::SplatRenderer(const ShaderSource& source)
       compute_composite_(shaders_.compute({"splat_composite.comp"})),
       hide_(shaders_.draw({"splat_composite.vert"}, {"splat_hide.frag"})),
       surface_(shaders_.draw({"splat_composite.vert"}, {"splat_surface.frag"})) {
-  const gl::StateGuard guard;
+  const gl::ComputeScope scope;
   if (!sort_.check()) throw gl::Error("the graphics driver sorts wrongly");
   const ViewState compiled(shaders_, sort_);  // compiles the programs that all views draw with
 }
@@ -112,6 +112,7 @@ void SplatRenderer::drop(const std::string& name) {
   const auto found = views_.find(name);
   if (found == views_.end()) return;
   if (found->second.state.get() == drawn_) drawn_ = nullptr;
+  if (begun_ && found->second.state.get() == begun_->view) begun_.reset();
   views_.erase(found);
 }
 
@@ -186,34 +187,53 @@ void SplatRenderer::composite(const CanvasScope& window, const gl::Target& splat
   window.layOver(composite_, splats);
 }
 
-std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const std::vector<CardView>& maps,
-                                                      Canvas canvas, const Surroundings& around) {
-  const std::function<void()>& translucent = around.translucent;
-  glFlush();  // the graphics card begins with what the scene has drawn so far
+SplatRenderer::Begun::Begun(SplatRenderer& renderer, const std::vector<CardView>& of, Canvas on)
+    : turn(renderer.sort_is_free_),
+      maps(of),
+      canvas(on),
+      stopwatch(of.front().settings.profile),
+      frame(renderer.frame(maps, canvas, stopwatch)) {}
+
+void SplatRenderer::begin(const std::vector<CardView>& maps, Canvas canvas) {
+  begun_.reset();
+  const gl::ComputeScope scope;
   gl::deleteAbandoned();
-  const gl::Turn turn(sort_is_free_);
-  const RenderSettings& settings = maps.front().settings;
   ViewState& view = *this->view(join(maps)).state;
   std::vector<CardMap::Chosen> chosen;
   for (const CardView& map : maps) {
     chosen.push_back(map.map->chooseDetail(map.view_id, map.settings, map.camera, clock()));
   }
-  gl::Stopwatch stopwatch(settings.profile);
+  auto begun = std::make_unique<Begun>(*this, maps, canvas);
+  begun->chosen = std::move(chosen);
+  begun->view = &view;
+  Frame& frame = begun->frame;
+  for (std::size_t i = 0; i < maps.size() && !frame.order; ++i) {
+    frame.layers[i].error = begun->chosen[i].error;
+  }
+  view.prepare(frame);
+  glFlush();  // the graphics card begins while the rest is submitted
+  view.list(begun->stopwatch);
+  glFlush();
+  begun_ = std::move(begun);
+}
+
+std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const Surroundings& around) {
+  const std::unique_ptr<Begun> begun = std::move(begun_);
+  const std::function<void()>& translucent = around.translucent;
+  auto& [turn, maps, chosen, canvas, of_view, stopwatch, frame] = *begun;
+  ViewState& view = *of_view;
+  stopwatch.lap("");  // of the scene
   drawn_ = &view;
-  const SplatCamera& camera = maps.front().camera;
+  const RenderSettings& settings = maps.front().settings;
+  const SplatCamera& camera = frame.camera();
   if (translucent) {
     keepTranslucent(view, camera, translucent);
     stopwatch.lap("translucent");
   }
   const CanvasScope window(canvas);
-  Frame frame = this->frame(maps, canvas, stopwatch);
-  for (std::size_t i = 0; i < maps.size() && !frame.order; ++i) {
-    frame.layers[i].error = chosen[i].error;
-  }
+  view.use();
   const bool fresh = view.color.become(settings.float_blending ? GL_RGBA32F : GL_RGBA16F,
                                        camera.width, camera.height, window.targetDepth());
-  view.prepare(frame);
-  glFlush();  // the graphics card begins while the rest is submitted
   const bool open = !around.opaque && !translucent;
   if (fresh || !view.open || !open) {  // making a framebuffer takes the driver 20 us
     const gl::DrawScope scope(view.color);
@@ -321,7 +341,7 @@ std::vector<Pick> SplatRenderer::readPick() const {
 
 std::vector<SplatValues> SplatRenderer::readSlots(const CardMap& map,
                                                   const std::vector<std::uint32_t>& slots) const {
-  const gl::StateGuard guard;
+  const gl::ComputeScope scope;
   map.await();
   return reader_.read(map.store(), slots);
 }

@@ -45,20 +45,22 @@ class SplatRenderer {
   // Makes an empty map for this renderer alone.
   std::shared_ptr<CardMap> makeMap() const { return std::make_shared<CardMap>(scatter_); }
 
+  // Begins a picture: submits what the scene's other objects don't change, so that the graphics
+  // card works while these are drawn. Without a given order, splats are sorted by the sorters'
+  // depth, with the same ties. The view's state is kept until forget(), or until others need the
+  // memory.
+  void begin(const std::vector<CardView>& maps, Canvas canvas);
   // What draw() drew of each map.
   struct OfMap {
     std::size_t drawn = 0;     // splats, and nodes that stand for splats
     double error = 0;          // to which nodes stand for splats, 0 in full detail [px]
     std::string detail_error;  // why it is not in the detail that was asked for
   };
-  // Blends the splats into a target of the view, then lays the target over the current viewport,
-  // which has the camera's size. Without a given order, splats are sorted by the sorters' depth,
-  // with the same ties. Nearer objects in the current framebuffer and viewport hide splats. If
-  // translucent objects are to follow, the splats are divided at the nearest of these in each
-  // pixel, and only splats behind it are laid over. The view's state is kept until forget(), or
-  // until others need the memory.
-  std::vector<OfMap> draw(const std::vector<CardView>& maps, Canvas canvas,
-                          const Surroundings& around = {});
+  // Draws the picture that was just begun: blends the splats into a target of the view, then lays
+  // the target over the current viewport, which has the camera's size. Nearer objects in the
+  // current framebuffer and viewport hide splats. If translucent objects are to follow, the splats
+  // are divided at the nearest of these in each pixel, and only splats behind it are laid over.
+  std::vector<OfMap> draw(const Surroundings& around);
   void forget(const std::string& view_id);
   // After a divided draw() of a view: the splats laid over hide farther translucent objects where
   // their opacity is at least one half.
@@ -101,6 +103,18 @@ class SplatRenderer {
     std::unique_ptr<ViewState> state;
     std::uint64_t used = 0;  // used_ when it was last drawn
   };
+  // A picture that was begun, and isn't drawn yet.
+  struct Begun {
+    Begun(SplatRenderer& renderer, const std::vector<CardView>& of, Canvas on);
+
+    gl::Turn turn;  // ends with draw(): a fence before blending takes a small frame 10 us
+    std::vector<CardView> maps;
+    std::vector<CardMap::Chosen> chosen;  // detail of each map
+    Canvas canvas;
+    ViewState* view = nullptr;
+    gl::Stopwatch stopwatch;
+    Frame frame;  // of `maps`
+  };
 
   // Joins the views of maps to one view, and returns its name.
   const std::string& join(const std::vector<CardView>& maps);
@@ -129,7 +143,8 @@ class SplatRenderer {
   ViewNames names_;
   std::map<std::string, RenderedView> views_;  // by name
   std::uint64_t used_ = 0;                     // number of view() calls
-  ViewState* drawn_ = nullptr;                 // last
+  std::unique_ptr<Begun> begun_;
+  ViewState* drawn_ = nullptr;  // last
   std::size_t picked_layers_ = 0;
   gl::Target depth_, surface_depth_, pick_depth_;
   GLenum copied_depth_ = 0, refused_depth_ = 0;  // formats that the driver copied, and refused

@@ -171,19 +171,27 @@ bool SplatScene::ready(const std::string& view_id, const RenderSettings& setting
 const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSettings& settings,
                                     Canvas canvas, bool sort_now, const Surroundings& around) {
   prepare(settings);
-  draw({{this, view_id, settings}}, canvas, sort_now, around);
+  draw(begin({{this, view_id, settings}}, canvas, sort_now), around);
   return reports_[view_id];
 }
 
-void SplatScene::draw(const std::vector<InView>& maps, Canvas canvas, bool sort_now,
-                      const Surroundings& around) {
+SplatScene::Picture SplatScene::begin(const std::vector<InView>& maps, Canvas canvas,
+                                      bool sort_now) {
   const double start = now();
-  std::vector<Drawer::Look> looks;
+  Picture picture{maps, canvas};
   for (const InView& map : maps) {
-    looks.push_back(map.scene->look(map, sort_now, maps.size() == 1));
+    picture.looks.push_back(map.scene->look(map, sort_now, maps.size() == 1));
   }
+  picture.looks.front().drawer->begin(picture.looks, canvas);
+  picture.took = now() - start;
+  return picture;
+}
+
+void SplatScene::draw(const Picture& picture, const Surroundings& around) {
+  const double start = now();
+  const auto& [maps, canvas, looks, begun_in] = picture;
   std::vector<FrameReport> reports = looks.front().drawer->draw(looks, canvas, around);
-  const double took = now() - start;
+  const double took = begun_in + now() - start;
   for (std::size_t i = 0; i < maps.size(); ++i) {
     const auto& [scene, view_id, settings, camera] = maps[i];
     reports[i].maps = maps.size();

@@ -79,10 +79,19 @@ class SplatScene {
   // unless the settings name another source. Throws gl::Error.
   const FrameReport& draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
                           bool sort_now = false, const Surroundings& around = {});
-  // Render thread: the same for several maps in one picture, sorted together. They must be
-  // together(), and their cameras the same camera.
-  static void draw(const std::vector<InView>& maps, Canvas canvas, bool sort_now,
-                   const Surroundings& around);
+  // A picture that was begun.
+  struct Picture {
+    std::vector<InView> maps;
+    Canvas canvas;
+    std::vector<Drawer::Look> looks = {};
+    double took = 0;  // of the render thread [s]
+  };
+  // Render thread: the same in two steps, for several maps in one picture, sorted together. They
+  // must be together(), and their cameras the same camera. What the scene's other objects don't
+  // change is done by begin(), so that the graphics card works while these are drawn. draw()
+  // follows before the next begin().
+  static Picture begin(const std::vector<InView>& maps, Canvas canvas, bool sort_now);
+  static void draw(const Picture& picture, const Surroundings& around);
   // Render thread: whether two prepared maps are drawn by one renderer, in one picture.
   static bool together(const SplatScene& one, const SplatScene& other) {
     return one.drawer_->drawsWith(*other.drawer_);

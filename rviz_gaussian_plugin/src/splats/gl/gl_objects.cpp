@@ -483,6 +483,15 @@ std::vector<float> readPixels(int width, int height) {
   return pixels;
 }
 
+ComputeScope::~ComputeScope() {
+  glUseProgram(static_cast<GLuint>(program_));
+  if (epoxy_gl_version() < 44) return;  // then nothing has bound the rest either
+  glBindBuffersBase(GL_SHADER_STORAGE_BUFFER, 0, kStorageBindings, nullptr);
+  for (const GLuint block : {0, 1}) glBindBufferBase(GL_UNIFORM_BUFFER, block, 0);
+  glBindImageTextures(0, kImageUnits, nullptr);
+  for (const GLenum target : {GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER}) glBindBuffer(target, 0);
+}
+
 StateGuard::StateGuard()
     : framebuffers_(hasFramebuffers()),
       vertex_arrays_(epoxy_gl_version() >= 30 ||
@@ -495,7 +504,6 @@ StateGuard::StateGuard()
     draw_framebuffer_ = static_cast<GLuint>(draw);
     read_framebuffer_ = static_cast<GLuint>(read);
   }
-  glGetIntegerv(GL_CURRENT_PROGRAM, &program_);
   if (vertex_arrays_) glGetIntegerv(GL_VERTEX_ARRAY_BINDING, &vertex_array_);
   glGetIntegerv(GL_ARRAY_BUFFER_BINDING, &array_buffer_);
   glGetIntegerv(GL_ACTIVE_TEXTURE, &active_texture_);
@@ -521,12 +529,6 @@ StateGuard::~StateGuard() {
   glActiveTexture(static_cast<GLenum>(active_texture_));
   if (vertex_arrays_) glBindVertexArray(static_cast<GLuint>(vertex_array_));
   glBindBuffer(GL_ARRAY_BUFFER, static_cast<GLuint>(array_buffer_));
-  glUseProgram(static_cast<GLuint>(program_));
-  if (epoxy_gl_version() < 44) return;  // then nothing has bound the rest either
-  glBindBuffersBase(GL_SHADER_STORAGE_BUFFER, 0, kStorageBindings, nullptr);
-  for (const GLuint block : {0, 1}) glBindBufferBase(GL_UNIFORM_BUFFER, block, 0);
-  glBindImageTextures(0, kImageUnits, nullptr);
-  for (const GLenum target : {GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER}) glBindBuffer(target, 0);
 }
 
 Stopwatch::~Stopwatch() {

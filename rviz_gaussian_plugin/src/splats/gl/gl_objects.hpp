@@ -293,8 +293,22 @@ std::vector<float> readDepths(int x, int y, int width, int height, bool top_firs
 // Returns the RGBA colour of the framebuffer that is bound for reading, in its order of rows.
 std::vector<float> readPixels(int width, int height);
 
-// At the end of its scope, restores the state that Ogre believes is set and unbinds all other
-// objects: a context that draws no more would keep them in memory.
+// Within the scope, programs compute and buffers are written. The end restores the program that
+// Ogre believes is in use, and unbinds what Ogre doesn't know of: a context that draws no more
+// would keep it in memory.
+class ComputeScope {
+ public:
+  ComputeScope() { glGetIntegerv(GL_CURRENT_PROGRAM, &program_); }
+  ~ComputeScope();
+  ComputeScope(const ComputeScope&) = delete;
+  ComputeScope& operator=(const ComputeScope&) = delete;
+
+ private:
+  GLint program_ = 0;
+};
+
+// The same for drawing: the end restores all that Ogre believes is set. It takes the driver three
+// times as long.
 class StateGuard {
  public:
   StateGuard();
@@ -305,8 +319,9 @@ class StateGuard {
   GLuint drawFramebuffer() const { return draw_framebuffer_; }
 
  private:
+  ComputeScope compute_;
   bool framebuffers_, vertex_arrays_, sampled_textures_;  // whether the context has these
-  GLint program_ = 0, vertex_array_ = 0, array_buffer_ = 0;
+  GLint vertex_array_ = 0, array_buffer_ = 0;
   GLint active_texture_ = 0, texture_ = 0, sampled_texture_ = 0;
   GLuint draw_framebuffer_ = 0, read_framebuffer_ = 0;
 };

@@ -7,7 +7,8 @@ namespace rosplat {
 
 namespace {
 
-constexpr std::size_t kMostArenaPages = 2048;  // 72 MiB of slots
+// 36 MiB of slots: to make room, one arena is copied at most.
+constexpr std::size_t kMostArenaPages = 1024;
 // Keeps buffers in the card's memory from the start: NVIDIA's driver (580) keeps GL_DYNAMIC_DRAW
 // buffers in the processor's memory for some pictures.
 constexpr GLenum kUsage = GL_DYNAMIC_COPY;

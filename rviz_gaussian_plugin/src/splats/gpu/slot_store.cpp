@@ -141,7 +141,7 @@ void SlotStore::write(const GaussianEdit& edit, const Piece& piece, std::uint32_
 // Writes by a shader, in no order: if an edit has a slot twice, only the last one is passed on.
 void SlotStore::scatter(const GaussianEdit& edit, const std::vector<Piece>& pieces,
                         std::uint32_t change) {
-  const gl::StateGuard guard;
+  const gl::ComputeScope scope;
   for (const Arena& arena : arenas_.arenas()) {
     SlotRuns places;
     for (const Piece& piece : pieces) {

@@ -26,13 +26,21 @@ void ViewState::prepare(const Frame& frame) {
   tiles_.forget();
 }
 
+void ViewState::list(gl::Stopwatch& stopwatch) {
+  if (!tiles_.listed(width_, height_) && tiles_.regions() == 1) list(0, stopwatch);
+}
+
+void ViewState::list(std::size_t region, gl::Stopwatch& stopwatch) {
+  tiles_.list(splats_, width_, height_, region, stopwatch);
+  tallies_.reported();
+  listed_ = reported_ = true;
+}
+
 void ViewState::inRegions(gl::Stopwatch& stopwatch, const std::function<void()>& draw) {
   if (tiles_.listed(width_, height_)) return draw();
   std::size_t region = 0;
   do {
-    tiles_.list(splats_, width_, height_, region, stopwatch);
-    tallies_.reported();
-    listed_ = reported_ = true;
+    list(region, stopwatch);
     const std::size_t regions = tiles_.regions();
     // Regions share the memory of their lists, so this one must be whole before the next begins.
     if (regions > 1 && !hasRoomForLists(1)) {

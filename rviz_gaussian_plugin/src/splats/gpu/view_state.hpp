@@ -17,8 +17,8 @@ namespace rosplat {
 // projected, sorted and listed by tiles, so that none of this is done again until the view changes.
 //
 // A frame is submitted stage by stage with as much room as earlier frames have needed:
-// prepare(), then blend() or inRegions(), then hasRoom(), and all of it again if that returns
-// false.
+// prepare(), maybe list(), then blend() or inRegions(), then hasRoom(), and all of it again if that
+// returns false.
 class ViewState {
  public:
   // sort: may be shared with other objects.
@@ -28,8 +28,10 @@ class ViewState {
   void use() const { glBindBufferBase(GL_UNIFORM_BUFFER, 0, block_.id()); }
   // Begins a frame. Submits the projection and the sort of the visible splats, unless kept.
   void prepare(const Frame& frame);
-  // Submits the lists by tiles, unless kept, and calls draw() after them. Where the lists of all
-  // tiles would take too much memory, does both region by region.
+  // Submits the lists by tiles, unless kept or made region by region: then inRegions() does.
+  void list(gl::Stopwatch& stopwatch);
+  // Submits the lists by tiles, unless there are any, and calls draw() after them. Where the lists
+  // of all tiles would take too much memory, does both region by region.
   void inRegions(gl::Stopwatch& stopwatch, const std::function<void()>& draw);
   // Submits the blending of the splats that the depth of `color` lets pass into `color`. divided:
   // `behind` gets the splats that the depth of `color` hides and its own doesn't.
@@ -50,6 +52,7 @@ class ViewState {
   bool open = false;             // the depth of `color` hides nothing
 
  private:
+  void list(std::size_t region, gl::Stopwatch& stopwatch);
   bool hasRoomForLists(double growth);
 
   Tallies tallies_;
