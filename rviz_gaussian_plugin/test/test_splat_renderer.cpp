@@ -1648,6 +1648,26 @@ TEST_F(SplatRendererTest, DrawsMapsInOneOrder) {
   EXPECT_EQ(first.splats + second.splats, maps.both.report("view").splats);
 }
 
+// Ogre may end a picture between its two steps; a view's next one begins anew.
+TEST_F(SplatRendererTest, PicturesThatWereBegunAndNeverDrawnChangeNoOther) {
+  SplatScene scene(shaders());
+  fill(scene);
+  const auto expected = picture(scene, Rasterizer::kTiles, OrderSource::kAuto);
+  RenderSettings settings;
+  settings.float_blending = true;
+  settings.rasterizer = Rasterizer::kTiles;
+  SplatCamera aside = camera();
+  aside.translation[0] += 1;
+  for (const std::string view : {"view", "other view"}) {
+    scene.setCamera(view, 2, aside);
+    SplatScene::begin({{&scene, view, settings}}, Canvas::kNone, true);
+    EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kAuto), expected);
+  }
+  SplatScene::begin({{&scene, "other view", settings}}, Canvas::kNone, true);
+  scene.forget("other view");
+  EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kAuto), expected);
+}
+
 TEST_F(SplatRendererTest, ShowsTheMouseWhatIsSeenWhosesoeverItIs) {
   Union maps;
   RenderSettings settings;
