@@ -95,8 +95,15 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
   picked_publisher_ = node_->create_publisher<rosplat_msgs::msg::Gaussian>(remapped_ + "/picked",
                                                                            pickedQos(), publishing);
   pull_tick_ = node_->create_wall_timer(100ms, [this] { tick(); }, group_);
-  watch();
   executor_.add_callback_group(group_, node_->get_node_base_interface());
+  start();
+  watch();
+}
+
+GaussianClient::~GaussianClient() { stop(); }
+
+void GaussianClient::start() {
+  stop_ = false;
   thread_ = std::thread([this] {
     while (!stop_ && rclcpp::ok()) {
       try {
@@ -109,7 +116,7 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
   });
 }
 
-GaussianClient::~GaussianClient() {
+void GaussianClient::stop() {
   stop_ = true;
   executor_.cancel();
   thread_.join();
@@ -253,7 +260,7 @@ void GaussianClient::watch() {
   watched_ = now();
   try {
     sidecar_->tell();
-    watchPublishers();  // last: the executor's thread may destroy a subscription that this replaces
+    watchPublishers();
   } catch (const std::exception& error) {
     if (!node_->get_node_base_interface()->get_context()->is_valid()) return;  // ROS has ended
     RCLCPP_ERROR_THROTTLE(node_->get_logger(), steady_clock_, 5000, "%s: %s", topic_.c_str(),
@@ -281,7 +288,10 @@ void GaussianClient::watchPublishers() {
   }
   serves_ = served() || (serves_ && !publishers.empty());
   const rclcpp::QoS qos = qosFor(any_volatile && !any_latched);
-  if (qos != asked_qos_) subscribe(qos);
+  if (qos != asked_qos_) {
+    const Pause pause(*this);
+    subscribe(qos);
+  }
   const std::lock_guard lock(mutex_);
   status_.publishers = std::move(names);
   if (status_.publishers.size() < 2) status_.contended = false;

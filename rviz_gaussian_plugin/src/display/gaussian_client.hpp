@@ -100,6 +100,18 @@ class GaussianClient {
   using Pull = MapPull<std::shared_ptr<const GaussianArray>>;
   static constexpr std::size_t kMostRequests = 64;  // waiting requests for pictures
 
+  // Stops the executor within its scope: while messages arrive, rclcpp's executor (Jazzy) may miss
+  // a subscription that another thread makes, and never wait for it.
+  struct Pause {
+    explicit Pause(GaussianClient& client) : of(client) { of.stop(); }
+    ~Pause() { of.start(); }
+    Pause(const Pause&) = delete;
+    Pause& operator=(const Pause&) = delete;
+
+    GaussianClient& of;
+  };
+  void start();
+  void stop();
   void subscribe(const rclcpp::QoS& qos);
   rclcpp::QoS qosFor(bool all_are_volatile) const;
   void hear(std::shared_ptr<const GaussianArray> message);
