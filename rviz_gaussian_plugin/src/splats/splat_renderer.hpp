@@ -107,7 +107,7 @@ class SplatRenderer {
   struct Begun {
     Begun(SplatRenderer& renderer, const std::vector<CardView>& of, Canvas on);
 
-    gl::Turn turn;  // ends with draw(): a fence before blending takes a small frame 10 us
+    gl::Turn turn;  // ends with draw()
     std::vector<CardView> maps;
     std::vector<CardMap::Chosen> chosen;  // detail of each map
     Canvas canvas;
