@@ -187,15 +187,16 @@ void SplatRenderer::composite(const CanvasScope& window, const gl::Target& splat
   window.layOver(composite_, splats);
 }
 
-SplatRenderer::Begun::Begun(SplatRenderer& renderer, const std::vector<CardView>& of, Canvas on)
-    : turn(renderer.sort_is_free_),
-      maps(of),
+SplatRenderer::Begun::Begun(const SplatRenderer& renderer, const std::vector<CardView>& of,
+                            Canvas on)
+    : maps(of),
       canvas(on),
       stopwatch(of.front().settings.profile),
       frame(renderer.frame(maps, canvas, stopwatch)) {}
 
 void SplatRenderer::begin(const std::vector<CardView>& maps, Canvas canvas) {
   begun_.reset();
+  const gl::Turn turn(sort_is_free_);
   const gl::ComputeScope scope;
   gl::deleteAbandoned();
   ViewState& view = *this->view(join(maps)).state;
@@ -220,7 +221,8 @@ void SplatRenderer::begin(const std::vector<CardView>& maps, Canvas canvas) {
 std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const Surroundings& around) {
   const std::unique_ptr<Begun> begun = std::move(begun_);
   const std::function<void()>& translucent = around.translucent;
-  auto& [turn, maps, chosen, canvas, of_view, stopwatch, frame] = *begun;
+  auto& [maps, chosen, canvas, of_view, stopwatch, frame] = *begun;
+  const gl::Turn turn(sort_is_free_);
   ViewState& view = *of_view;
   stopwatch.lap("");  // of the scene
   drawn_ = &view;

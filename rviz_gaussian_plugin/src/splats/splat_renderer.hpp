@@ -105,9 +105,8 @@ class SplatRenderer {
   };
   // A picture that was begun, and isn't drawn yet.
   struct Begun {
-    Begun(SplatRenderer& renderer, const std::vector<CardView>& of, Canvas on);
+    Begun(const SplatRenderer& renderer, const std::vector<CardView>& of, Canvas on);
 
-    gl::Turn turn;  // ends with draw()
     std::vector<CardView> maps;
     std::vector<CardMap::Chosen> chosen;  // detail of each map
     Canvas canvas;
