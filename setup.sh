@@ -38,7 +38,8 @@ if command -v rviz2 >/dev/null; then
 else
   packages+=(libogre-1.12-dev)
 fi
-if wants dev; then packages+=(glslang-tools); fi # the tests' judge of shaders
+# The tests' judge of shaders, and their second OpenGL driver.
+if wants dev; then packages+=(glslang-tools mesa-vulkan-drivers); fi
 if wants docs; then packages+=(doxygen); fi      # reads the C++ headers
 missing=()
 for package in "${packages[@]}"; do

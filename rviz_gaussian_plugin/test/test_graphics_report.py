@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -14,16 +15,53 @@ pytest.importorskip("rviz_gaussian_plugin._offscreen", reason="the renderer is n
 COMMAND = [sys.executable, "-m", "rviz_gaussian_plugin.graphics_report"]
 
 
-def test_names_the_driver_and_draws_right() -> None:
-    ran = subprocess.run(COMMAND, capture_output=True, text=True, timeout=120, check=False)
+def _report(**environment: str) -> str:
+    ran = subprocess.run(
+        COMMAND,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env=os.environ | environment,
+    )
     if "X display" in ran.stderr:
         pytest.skip(ran.stderr.strip())
     assert ran.returncode == 0, ran.stderr
+    return ran.stdout
+
+
+def test_names_the_driver_and_draws_right() -> None:
+    report = _report()
     for what in ("vendor", "renderer", "version", "GLSL", "extensions", "subgroups"):
-        assert re.search(rf"^{what}.*: .", ran.stdout, re.MULTILINE), what
-    assert "unknown" not in re.findall(r"^most .*: (\w+)$", ran.stdout, re.MULTILINE)
-    found = re.search(r"^  tiles: tiles, .* (\d+) dB$", ran.stdout, re.MULTILINE)
-    assert found and int(found[1]) >= 60, ran.stdout
+        assert re.search(rf"^{what}.*: .", report, re.MULTILINE), what
+    assert "unknown" not in re.findall(r"^most .*: (\w+)$", report, re.MULTILINE)
+    found = re.search(r"^  tiles: tiles, .* (\d+) dB$", report, re.MULTILINE)
+    assert found and int(found[1]) >= 60, report
+
+
+def test_draws_right_with_a_second_driver(tmp_path: Path) -> None:
+    """Zink translates OpenGL to Vulkan, which lavapipe draws with the processor."""
+    drivers = list(Path("/usr/share/vulkan/icd.d").glob("lvp_icd.*.json"))
+    if not drivers:
+        pytest.skip("lavapipe is not installed")
+    report = _report(
+        MESA_LOADER_DRIVER_OVERRIDE="zink",
+        LIBGL_ALWAYS_SOFTWARE="1",
+        VK_ICD_FILENAMES=str(drivers[0]),
+        XDG_RUNTIME_DIR=str(tmp_path),
+    )
+    assert re.search(r"^renderer: zink", report, re.MULTILINE), report
+    found = re.search(r"^  tiles: tiles, .* (\d+) dB$", report, re.MULTILINE)
+    assert found and int(found[1]) >= 60, report
+
+
+def test_says_why_the_processor_draws() -> None:
+    report = _report(GALLIUM_DRIVER="softpipe")
+    if "renderer: softpipe" not in report:
+        pytest.skip("Mesa's softpipe is not installed")
+    assert re.search(r"^  tiles: processor, .*; .*OpenGL 4\.4 is needed", report, re.MULTILINE), (
+        report
+    )
 
 
 def test_says_in_a_line_why_nothing_is_drawn() -> None:

@@ -106,4 +106,4 @@ def _drawn(renderer: Renderer, truth: NDArray[np.float32]) -> str:
     off = float(np.mean((renderer.read_color() - truth) ** 2))
     accuracy = f"{-10 * np.log10(off):.0f} dB" if off > 0 else "equal"
     way = f"{drawn['rasterizer']}, order of {drawn['order_source']}, {accuracy}"
-    return f"{way}; {renderer.warning}" if renderer.warning else way
+    return "; ".join(text for text in (way, renderer.error, renderer.warning) if text)

@@ -173,6 +173,7 @@ PYBIND11_MODULE(_offscreen, module) {
                              [](OffscreenRenderer& r) { return r.scene().state().groups; })
       .def_property_readonly(
           "sample", [](OffscreenRenderer& r) { return toArray(r.scene().samplePositions()); })
+      .def_property_readonly("error", [](OffscreenRenderer& r) { return r.scene().error(); })
       .def_property_readonly("warning", [](OffscreenRenderer& r) { return r.scene().warning(); })
       .def("failed", &OffscreenRenderer::failed)
       .def_property_readonly("renderer_info", &OffscreenRenderer::graphics);

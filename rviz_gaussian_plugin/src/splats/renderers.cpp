@@ -32,9 +32,8 @@ std::unique_ptr<Drawer> Renderers::makeDrawer(DrawnBy by, const Arrivals::Taker&
 }
 
 DrawnBy drawnBy(Rasterizer rasterizer) {
-  const bool by_processor = rasterizer == Rasterizer::kAuto
-                                ? !gl::accelerated() || !gl::unsupported().empty()
-                                : rasterizer == Rasterizer::kProcessor;
+  const bool by_processor =
+      rasterizer == Rasterizer::kAuto ? !gl::accelerated() : rasterizer == Rasterizer::kProcessor;
   return by_processor ? DrawnBy::kProcessor : DrawnBy::kCard;
 }
 
