@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <atomic>
 #include <condition_variable>
 #include <functional>
 #include <memory>
@@ -58,11 +59,11 @@ class ThreadTeam {
     begin(std::min(count, size_));
     std::unique_lock<std::mutex> lock(mutex_);
     task_ = &task;
+    count_ = count;
     next_ = 0;
-    undone_ = count_ = count;
     if (count > 1) wake_.notify_all();
     work(0, lock);
-    done_.wait(lock, [this] { return undone_ == 0; });
+    done_.wait(lock, [this] { return working_ == 0; });
   }
 
  private:
@@ -86,16 +87,15 @@ class ThreadTeam {
     }
   }
 
-  // Runs tasks that no member has begun, until none is left. Releases the lock during each.
+  // Runs tasks that no member has begun, until none is left. Releases the lock meanwhile: nobody
+  // changes the task or the count while members work.
   void work(unsigned member, std::unique_lock<std::mutex>& lock) {
-    while (next_ < count_) {
-      const unsigned number = next_++;
-      const std::function<void(unsigned, unsigned)>& task = *task_;
-      lock.unlock();
-      task(number, member);
-      lock.lock();
-      if (--undone_ == 0) done_.notify_one();
-    }
+    if (next_ >= count_) return;
+    ++working_;
+    lock.unlock();
+    for (unsigned number; (number = next_++) < count_;) (*task_)(number, member);
+    lock.lock();
+    if (--working_ == 0) done_.notify_one();
   }
 
   const unsigned size_;
@@ -105,8 +105,8 @@ class ThreadTeam {
   std::condition_variable done_;
   const std::function<void(unsigned, unsigned)>* task_ = nullptr;
   unsigned count_ = 0;
-  unsigned next_ = 0;  // the first number that no member has begun
-  unsigned undone_ = 0;
+  std::atomic<unsigned> next_{0};  // the first number that no member has begun
+  unsigned working_ = 0;           // members
   bool stopping_ = false;
   std::vector<std::thread> workers_;
 };
