@@ -214,7 +214,7 @@ void LevelBuilder::build() {
   takeWaiting();
   {
     const std::lock_guard lock(mutex_);
-    if (more_) return;
+    if (more_ || !runs_.empty()) return;
   }
   const double from = seconds();
   const double until = from + std::max(from - begin, kLeastTime);

@@ -335,13 +335,18 @@ Levels::Changes Levels::sorted(const std::vector<std::vector<Change>>& parts) co
       changes.all[next[rangeOf(change) * parts.size() + part]++] = change;
     }
   });
+  std::vector<std::vector<Cell>> cells(ranges);
   inParts(team_.get(), ranges, [&](std::size_t range) {
     const std::size_t begin = begins[range * parts.size()];
     const std::size_t end = range + 1 < ranges ? begins[(range + 1) * parts.size()] : changes.count;
     std::sort(&changes.all[begin], changes.all.get() + end, [](const Change& a, const Change& b) {
       return a.cell != b.cell ? a.cell < b.cell : a.slot < b.slot;
     });
+    for (std::size_t i = begin; i < end; ++i) append(cells[range], changes.all[i].cell);
   });
+  for (const std::vector<Cell>& of_range : cells) {
+    changes.cells.insert(changes.cells.end(), of_range.begin(), of_range.end());
+  }
   return changes;
 }
 
@@ -350,35 +355,45 @@ Levels::Changes Levels::sorted(const std::vector<std::vector<Change>>& parts) co
 void Levels::nextLevel() {
   Job& job = *job_;
   Pages pages;  // of the finished level
-  std::vector<Cell> touched;
   for (const Piece& piece : job.pieces) {
     pages.insert(pages.end(), piece.pages.begin(), piece.pages.end());
-    touched.insert(touched.end(), piece.parents.begin(), piece.parents.end());
   }
+  std::vector<Cell> cells;
   std::vector<Piece> pieces;
   std::vector<std::size_t> touched_pieces;
-  if (job.level + 1 < kLevels) cut(job.level + 1, std::move(touched), pieces, touched_pieces);
+  if (job.level + 1 < kLevels) {
+    cells = touchedCells(job.level + 1);
+    cut(job.level + 1, cells, pieces, touched_pieces);
+  }
   // From here on, nothing needs memory.
   if (job.level >= 0) job.pages[std::size_t(job.level)] = std::move(pages);
   job.pieces = std::move(pieces);
+  job.cells = std::move(cells);
   job.touched = std::move(touched_pieces);
   job.done = 0;
   ++job.level;
 }
 
-// touched: cells of the level in which a child was touched.
-void Levels::cut(int level, std::vector<Cell> touched, std::vector<Piece>& pieces,
+// The cells of a level that have changes, or a child that was touched.
+std::vector<Cell> Levels::touchedCells(int level) const {
+  std::vector<Cell> parents, touched;
+  for (const Piece& piece : job_->pieces) {
+    parents.insert(parents.end(), piece.parents.begin(), piece.parents.end());
+  }
+  const std::vector<Cell>& changed = job_->changes.cells;
+  const auto begin = std::lower_bound(changed.begin(), changed.end(), firstCell(level));
+  const auto end = std::lower_bound(begin, changed.end(), firstCell(level + 1));
+  touched.reserve(parents.size() + std::size_t(end - begin));
+  // Pieces that are neighbours may have touched the same parent.
+  parents.erase(std::unique(parents.begin(), parents.end()), parents.end());
+  std::set_union(parents.begin(), parents.end(), begin, end, std::back_inserter(touched));
+  return touched;
+}
+
+void Levels::cut(int level, const std::vector<Cell>& touched, std::vector<Piece>& pieces,
                  std::vector<std::size_t>& touched_pieces) const {
   const Job& job = *job_;
-  const auto inherited = std::ptrdiff_t(touched.size());
   const Cell level_begin = firstCell(level), level_end = firstCell(level + 1);
-  auto change = changesFrom(job.changes, level_begin);
-  for (; change != job.changes.end() && change->cell < level_end; ++change) {
-    append(touched, change->cell);
-  }
-  std::inplace_merge(touched.begin(), touched.begin() + inherited, touched.end());
-  touched.erase(std::unique(touched.begin(), touched.end()), touched.end());
-
   const Pages& old = nodes_[job.group][std::size_t(level)];
   std::vector<Cell> begins{level_begin};
   for (const auto& page : old) begins.push_back(page->cells.front());
@@ -387,12 +402,12 @@ void Levels::cut(int level, std::vector<Cell> touched, std::vector<Piece>& piece
   std::inplace_merge(begins.begin(), begins.begin() + of_pages, begins.end());
   begins.erase(std::unique(begins.begin(), begins.end()), begins.end());
   begins.push_back(level_end);
-  auto next = touched.begin();
+  const Cell *next = touched.data(), *const end = next + touched.size();
   auto page = old.begin();
   for (std::size_t i = 0; i + 1 < begins.size(); ++i) {
-    const auto from = next;
-    while (next != touched.end() && *next < begins[i + 1]) ++next;
-    pieces.push_back({begins[i], begins[i + 1], {from, next}, {}, {}});
+    const Cell* const from = next;
+    next = std::lower_bound(from, end, begins[i + 1]);
+    pieces.push_back({begins[i], begins[i + 1], from, next, {}, {}});
     const bool whole = page != old.end() && (*page)->cells.front() == begins[i];
     if (from != next || (whole && (*page)->cells.back() >= begins[i + 1])) {
       touched_pieces.push_back(i);
@@ -414,14 +429,14 @@ void Levels::make(const HostSlots& slots, std::size_t count) {
   std::vector<std::vector<Made>> made(count);
   const auto piece = [&](std::size_t i) -> Piece& { return job.pieces[job.touched[job.done + i]]; };
   for (std::size_t i = 0; i < count; ++i) {
-    for (std::size_t begin = 0; begin < piece(i).touched.size(); begin += kCells) {
+    for (std::size_t begin = 0; begin < piece(i).count(); begin += kCells) {
       parts.push_back({i, begin});
     }
-    made[i].resize((piece(i).touched.size() + kCells - 1) / kCells);
+    made[i].resize((piece(i).count() + kCells - 1) / kCells);
   }
   inParts(team_.get(), parts.size(), [&](std::size_t number) {
     const auto& [i, begin] = parts[number];
-    const std::size_t end = std::min(begin + kCells, piece(i).touched.size());
+    const std::size_t end = std::min(begin + kCells, piece(i).count());
     made[i][begin / kCells] = nodesOf(slots, piece(i), begin, end);
   });
   inParts(team_.get(), count, [&](std::size_t i) {
@@ -429,7 +444,9 @@ void Levels::make(const HostSlots& slots, std::size_t count) {
     made[i] = {};
     piece(i).parents.clear();
     if (job.level + 1 == kLevels) return;
-    for (const Cell cell : piece(i).touched) append(piece(i).parents, parentOf(cell));
+    for (const Cell* cell = piece(i).touched; cell != piece(i).touched_end; ++cell) {
+      append(piece(i).parents, parentOf(*cell));
+    }
   });
   job.done += count;
 }
@@ -497,12 +514,12 @@ void Levels::fill(Piece& piece, const std::vector<Made>& made, int sh_degree) co
   };
   std::vector<Source> sources;
   NodeCursor old(nodes_[job_->group][std::size_t(job_->level)], piece.begin);
-  auto touched = piece.touched.begin();
+  const Cell* touched = piece.touched;
   const auto keepUntil = [&](Cell cell) {
     for (; old.before(cell); old.next()) {
       const Cell kept = old.page().cells[old.index()];
-      while (touched != piece.touched.end() && *touched < kept) ++touched;
-      if (touched != piece.touched.end() && *touched == kept) continue;
+      while (touched != piece.touched_end && *touched < kept) ++touched;
+      if (touched != piece.touched_end && *touched == kept) continue;
       sources.push_back({&old.page(), nullptr, old.index()});
     }
   };

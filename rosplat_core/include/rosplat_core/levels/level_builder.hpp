@@ -53,7 +53,7 @@ class LevelBuilder {
   std::uint64_t apply(PackedRun run, double now);
   // Returns memory for the next run: that of a run that was taken over, if there is any.
   PackedRun spare();
-  // Tells whether more of the map is to come. As long as more is, no nodes are built.
+  // Tells whether more of the map is to come. As long as more is, or runs wait, no nodes are built.
   void expectMore(bool more);
   // Returns what has changed since the last call; null if nothing has. wait: waits first until the
   // nodes hold all that was applied, or can't be built.

@@ -106,6 +106,7 @@ class Levels {
   struct Changes {
     std::unique_ptr<Change[]> all;
     std::size_t count = 0;
+    std::vector<Cell> cells;  // of all, each once
 
     const Change* begin() const { return all.get(); }
     const Change* end() const { return all.get() + count; }
@@ -119,9 +120,11 @@ class Levels {
   // A range of a level's cells, begin to end.
   struct Piece {
     Cell begin, end;
-    std::vector<Cell> touched;
-    Pages pages;                // its new ones
-    std::vector<Cell> parents;  // of touched cells
+    const Cell *touched, *touched_end;  // its touched cells, in Job::cells
+    Pages pages;                        // its new ones
+    std::vector<Cell> parents;          // of touched cells
+
+    std::size_t count() const { return std::size_t(touched_end - touched); }
   };
   // Nodes of some touched cells.
   struct Made {
@@ -135,7 +138,8 @@ class Levels {
     std::vector<std::uint32_t> marked;  // first slots of pages
     Changes changes;
     Nodes pages;
-    int level = -1;  // being made; -1 before the first
+    int level = -1;           // being made; -1 before the first
+    std::vector<Cell> cells;  // of the level, that are touched
     std::vector<Piece> pieces;
     std::vector<std::size_t> touched;  // indices of pieces to make; the others stay as they were
     std::size_t done = 0;              // of touched
@@ -149,7 +153,8 @@ class Levels {
                      std::uint32_t i);
   void know(const HostSlots& slots, const SlotPage& page);
   void nextLevel();
-  void cut(int level, std::vector<Cell> touched, std::vector<Piece>& pieces,
+  std::vector<Cell> touchedCells(int level) const;
+  void cut(int level, const std::vector<Cell>& touched, std::vector<Piece>& pieces,
            std::vector<std::size_t>& touched_pieces) const;
   void make(const HostSlots& slots, std::size_t count);
   Made nodesOf(const HostSlots& slots, const Piece& piece, std::size_t begin,
