@@ -98,11 +98,11 @@ Readback::Readback(std::size_t words) : bytes_(words * sizeof(GLuint)) {
   if (!mapped_) throw Error("the graphics driver maps no buffers");
 }
 
-void Readback::ask(const Buffer& buffer) {
+void Readback::ask(const Buffer& buffer, std::size_t offset, std::size_t bytes, std::size_t to) {
   glBindBuffer(GL_COPY_READ_BUFFER, buffer.id());
   glBindBuffer(GL_COPY_WRITE_BUFFER, copy_.id());
-  glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, 0, 0,
-                      static_cast<GLsizeiptr>(buffer.bytes()));
+  glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, static_cast<GLintptr>(offset),
+                      static_cast<GLintptr>(to), static_cast<GLsizeiptr>(bytes));
   renewFence();
 }
 

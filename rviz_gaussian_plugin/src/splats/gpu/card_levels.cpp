@@ -64,7 +64,7 @@ void CardLevels::copy(const SlotStore& store, double now, std::size_t most_pages
   while (i < pages.size() && most_pages > 0) {
     std::size_t count = 1;
     if (store.holds(pages[i])) {
-      PackedRun run = store.read(i, std::min(most_pages, kPagesAtOnce), builder_.spare());
+      PackedRun run = reader_.read(store, i, std::min(most_pages, kPagesAtOnce), builder_.spare());
       count = run.slots.size() / (kSlotWords * SlotPage::kSlots);
       builder_.apply(std::move(run), now);
     }
@@ -72,7 +72,9 @@ void CardLevels::copy(const SlotStore& store, double now, std::size_t most_pages
     most_pages -= count;
     copied_ = pages[i - 1].first_slot + 1;
   }
-  if (i == pages.size()) builder_.expectMore(false);
+  if (i < pages.size()) return;
+  builder_.expectMore(false);
+  reader_ = {};
 }
 
 void CardLevels::advance(SlotStore& store, double now, bool all) {

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "gpu/node_store.hpp"
+#include "gpu/slot_reader.hpp"
 #include "gpu/slot_store.hpp"
 #include "rosplat_core/levels/level_builder.hpp"
 #include "rosplat_core/threads/thread_team.hpp"
@@ -59,6 +60,7 @@ class CardLevels {
   std::uint64_t cleared_ = 0;  // number of the last edit that emptied the map
   // The builder has been given the pages before this slot, or gets them as edits.
   std::uint32_t copied_ = 0;
+  PageReader reader_;  // of those pages
 };
 
 }  // namespace rosplat

@@ -2,6 +2,8 @@
 
 #include <new>
 
+#include "gpu/slot_reader.hpp"
+
 namespace rosplat {
 
 void CardMap::apply(const std::shared_ptr<const GaussianEdit>& edit, double now) {
@@ -44,8 +46,9 @@ void CardMap::endLevels() {
 
 void CardMap::forEachPage(const std::function<void(const GaussianEdit&)>& take) const {
   take(pages().moves());
+  PageReader reader;
   for (std::size_t i = 0; i < pages().pages().size(); ++i) {
-    if (store_.holds(pages().pages()[i])) take(editOf(store_.read(i, 1)));
+    if (store_.holds(pages().pages()[i])) take(editOf(reader.read(store_, i, 1)));
   }
 }
 

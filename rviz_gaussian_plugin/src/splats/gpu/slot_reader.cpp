@@ -92,4 +92,57 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
   return values;
 }
 
+PackedRun PageReader::read(const SlotStore& store, std::size_t first, std::size_t most,
+                           PackedRun run) {
+  const std::vector<SlotPage>& all = store.pages().pages();
+  const SlotPage& page = all[first];
+  const SlotStore::Place place = store.placeOf(page);
+  const auto follows = [&](std::size_t i) {
+    const SlotPage& next = all[first + i];
+    const SlotStore::Place at = store.placeOf(next);
+    return store.holds(next) && next.group == page.group && at.arena == place.arena &&
+           at.page == place.page + i && next.first_slot == page.first_slot + i * SlotPage::kSlots;
+  };
+  std::size_t pages = 1;
+  while (pages < most && first + pages < all.size() && follows(pages)) ++pages;
+  run.group = store.pages().groupOf(page);
+  run.first_slot = page.first_slot;
+  run.sh_degree = store.shDegree();
+  // Clears what another map left in `run`.
+  for (int band = run.sh_degree + 1; band <= kMaxShDegree; ++band) run.bands[band].clear();
+  for (std::size_t channel = store.channels(); channel < kMostChannels; ++channel) {
+    run.channels[channel].clear();
+  }
+  // Calls take(buffer, bytes of each slot, where they go) for all that the card holds of a slot.
+  const SlotStore::Arena& arena = store.arenas()[place.arena];
+  const auto eachPart = [&](const auto& take) {
+    take(arena.slots, kSlotBytes, run.slots);
+    for (int band = 1; band <= store.shDegree(); ++band) {
+      take(arena.bands[band], bandBytes(band), run.bands[band]);
+    }
+    for (std::size_t channel = 0; channel < store.channels(); ++channel) {
+      take(arena.channels[channel], kWord, run.channels[channel]);
+    }
+  };
+  const std::size_t slots = pages * SlotPage::kSlots;
+  std::size_t bytes = 0;
+  eachPart([&](const auto&, std::size_t of_slot, const auto&) { bytes += slots * of_slot; });
+  if (!copy_ || copy_->bytes() < bytes) {
+    copy_.emplace(bytes / kWord);
+    gl::settle();
+  }
+  std::size_t to = 0;
+  eachPart([&](const gl::Buffer& from, std::size_t of_slot, const auto&) {
+    copy_->ask(from, place.page * SlotPage::kSlots * of_slot, slots * of_slot, to);
+    to += slots * of_slot;
+  });
+  const GLuint* words = copy_->wait();
+  eachPart([&](const auto&, std::size_t of_slot, auto& values) {
+    values.resize(slots * of_slot / kWord);
+    std::memcpy(values.data(), words, slots * of_slot);
+    words += values.size();
+  });
+  return run;
+}
+
 }  // namespace rosplat

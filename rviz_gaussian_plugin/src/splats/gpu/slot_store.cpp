@@ -221,45 +221,6 @@ void SlotStore::scatter(const GaussianEdit& edit, const Arena& arena,
   ring_.show<std::uint32_t>(spots.size(), stride, fill, read);
 }
 
-PackedRun SlotStore::read(std::size_t first, std::size_t most, PackedRun run) const {
-  const std::vector<SlotPage>& all = pages_.pages();
-  const SlotPage& page = all[first];
-  const Place place = placeOf(page);
-  const auto follows = [&](std::size_t i) {
-    const SlotPage& next = all[first + i];
-    const Place at = placeOf(next);
-    return holds(next) && next.group == page.group && at.arena == place.arena &&
-           at.page == place.page + i && next.first_slot == page.first_slot + i * SlotPage::kSlots;
-  };
-  std::size_t pages = 1;
-  while (pages < most && first + pages < all.size() && follows(pages)) ++pages;
-  const Arena& arena = arenas_.arenas()[place.arena];
-  // A copy is read: NVIDIA's driver (580) writes at 80 MB/s to a buffer that was ever read.
-  gl::Buffer copy;
-  const auto values = [&](const gl::Buffer& from, std::size_t of_slot, auto& to) {
-    to.resize(pages * SlotPage::kSlots * of_slot);
-    copy.reserve(to.size() * kWord);
-    copy.copy(from, place.page * SlotPage::kSlots * of_slot * kWord, to.size() * kWord);
-    copy.read(0, to.data(), to.size() * kWord);
-  };
-  run.group = pages_.groupOf(page);
-  run.first_slot = page.first_slot;
-  run.sh_degree = shDegree();
-  values(arena.slots, kSlotWords, run.slots);
-  for (int band = 1; band <= shDegree(); ++band) {
-    values(arena.bands[band], static_cast<std::size_t>(kBandWords[band]), run.bands[band]);
-  }
-  for (std::size_t channel = 0; channel < channels(); ++channel) {
-    values(arena.channels[channel], 1, run.channels[channel]);
-  }
-  // Clears what another map left in `run`.
-  for (int band = shDegree() + 1; band <= kMaxShDegree; ++band) run.bands[band].clear();
-  for (std::size_t channel = channels(); channel < kMostChannels; ++channel) {
-    run.channels[channel].clear();
-  }
-  return run;
-}
-
 const std::vector<PageShelf>& SlotStore::shelves() const {
   if (shelved_ != version_) {
     shelves_ = shelve(pages_.pages(), [this](const SlotPage& page) { return widestParent(page); });

@@ -37,9 +37,6 @@ class SlotStore {
   Place placeOf(const SlotPage& page) const { return arenas_.placeOf(page.place); }
   Place placeOf(std::uint32_t place) const { return arenas_.placeOf(place); }
   const std::vector<Arena>& arenas() const { return arenas_.arenas(); }
-  // Returns pages()[first] and the pages after it that lie next to each other in map and arena, at
-  // most `most` in all. Waits for the graphics card. run: memory to use again.
-  PackedRun read(std::size_t first, std::size_t most, PackedRun run = {}) const;
 
   // Sets the level at which each slot of a page enters the levels of detail. Slots that are written
   // later have levelOfNew() until the next call.
