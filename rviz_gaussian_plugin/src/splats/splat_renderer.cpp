@@ -222,7 +222,7 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const Surroundings& around
   const std::unique_ptr<Begun> begun = std::move(begun_);
   const std::function<void()>& translucent = around.translucent;
   auto& [maps, chosen, canvas, of_view, stopwatch, frame] = *begun;
-  const gl::Turn turn(sort_is_free_);
+  const gl::Turn turn(sort_is_free_, true);  // after that of begin()
   ViewState& view = *of_view;
   stopwatch.lap("");  // of the scene
   drawn_ = &view;

@@ -160,9 +160,10 @@ void storageBarrier();
 // one, which may be another context's.
 class Turn {
  public:
-  // over: belongs to what is shared, null before the first turn.
-  explicit Turn(GLsync& over) : over_(over) {
-    if (over_) glWaitSync(over_, 0, GL_TIMEOUT_IGNORED);
+  // over: belongs to what is shared, null before the first turn. goes_on: the last turn was this
+  // context's, too, so there is nothing to wait for.
+  explicit Turn(GLsync& over, bool goes_on = false) : over_(over) {
+    if (over_ && !goes_on) glWaitSync(over_, 0, GL_TIMEOUT_IGNORED);
   }
   Turn(const Turn&) = delete;
   Turn& operator=(const Turn&) = delete;
