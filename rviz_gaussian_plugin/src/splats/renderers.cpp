@@ -32,6 +32,7 @@ std::unique_ptr<Drawer> Renderers::makeDrawer(DrawnBy by, const Arrivals::Taker&
 }
 
 DrawnBy drawnBy(Rasterizer rasterizer) {
+  // A card that can't draw is tried: then it is said why the processor draws.
   const bool by_processor =
       rasterizer == Rasterizer::kAuto ? !gl::accelerated() : rasterizer == Rasterizer::kProcessor;
   return by_processor ? DrawnBy::kProcessor : DrawnBy::kCard;
