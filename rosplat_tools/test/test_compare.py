@@ -11,6 +11,7 @@ import pytest
 import rclpy
 from rclpy.node import Node
 from scipy.ndimage import binary_dilation
+from scipy.stats import mannwhitneyu
 from sensor_msgs.msg import CameraInfo, Image
 
 from rosplat_core.cameras import look_at
@@ -159,7 +160,7 @@ def test_what_camera_films_on_a_flight_compare_reads_back(
     values = splats.channels["residual"]
     seen = np.flatnonzero(np.isfinite(values))
     assert len(seen) > 300
-    # Where pictures differ in some view: what is seen there now is worst.
+    # Where pictures differ in some view: what is seen there now is worse than the rest.
     rest = SPLATS[np.delete(np.arange(len(SPLATS)), gone)]
     renderers = CpuRenderer(SPLATS), CpuRenderer(rest)
     wrong = np.zeros(len(seen), bool)
@@ -170,8 +171,10 @@ def test_what_camera_films_on_a_flight_compare_reads_back(
         places = (splats.positions[seen] + splats.origin) @ eye[:3, :3].T + eye[:3, 3]
         x, y = np.rint(LENS.project(places)).astype(int).T.clip(0, [[159], [119]])
         wrong |= differs[y, x]
-    worst = np.argsort(values[seen])[-50:]
-    assert wrong[worst].mean() > 0.8 > 0.75 > wrong.mean()
+    of_wrong, of_rest = values[seen][wrong], values[seen][~wrong]
+    pairs = len(of_wrong) * len(of_rest)
+    # The chance that the worse one of two is one of them: 0.76 to 0.81 in five runs.
+    assert mannwhitneyu(of_wrong, of_rest).statistic / pairs > 0.65
 
 
 def _seconds(found: Comparison) -> float:
