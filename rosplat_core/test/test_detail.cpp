@@ -48,8 +48,8 @@ struct Plain {
     RenderSettings settings;
     settings.detail = detail;
     settings.interactive = !at_once;
-    return control.choose(settings, levels.samples(), request.layers[0].camera,
-                          slots.index().groups());
+    control.expect({levels.samples(), request.layers[0].camera, slots.index().groups(), settings});
+    return control.choose(settings);
   }
   // At once; how many pictures it took, too.
   SplatPicture draw(DetailControl& control, std::size_t most, int* pictures = nullptr) {
@@ -63,7 +63,10 @@ struct Plain {
     }
   }
   CutEstimate estimate(bool blends = true) const {
-    return {levels.samples(), request.layers[0].camera, slots.index().groups(), {}, blends};
+    RenderSettings settings;
+    settings.detail = {Kind::kSplats, 1};
+    settings.interactive = blends;
+    return {levels.samples(), request.layers[0].camera, slots.index().groups(), settings};
   }
 
   GaussianMap map;

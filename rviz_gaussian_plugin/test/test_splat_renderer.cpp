@@ -1341,8 +1341,8 @@ RenderSettings detailed(const char* detail, Rasterizer rasterizer) {
 }
 
 std::vector<float> cutPicture(SplatScene& scene, const RenderSettings& settings,
-                              const char* view_id = "view") {
-  scene.setCamera(view_id, 1, camera());
+                              const char* view_id = "view", const SplatCamera& of = camera()) {
+  scene.setCamera(view_id, 1, of);
   scene.draw(view_id, settings, Canvas::kNone, !settings.interactive);
   return scene.readColor();
 }
@@ -1536,6 +1536,25 @@ TEST_F(SplatRendererTest, KeepsTheErrorOfABudgetAtRest) {
     EXPECT_GT(errors.back(), 0) << most;
     EXPECT_EQ(std::count(errors.end() - 10, errors.end(), errors.back()), 10) << most;
   }
+}
+
+// A picture's budget is estimated from the camera of the one before.
+TEST_F(SplatRendererTest, ComesToRestAfterTheCameraWithABudget) {
+  SplatScene scene(shaders());
+  fillWithWall(scene, 40000, 3);
+  RenderSettings settings = detailed("5k", Rasterizer::kTiles);
+  settings.interactive = true;
+  SplatCamera half = camera();  // the left one
+  half.cx *= 2;
+  half.fx *= 2;
+  const auto rest = [&](const char* view_id, const SplatCamera& at) {
+    for (int frame = 0; frame < 30; ++frame) cutPicture(scene, settings, view_id, at);
+    return scene.report(view_id).error;
+  };
+  const double of_whole = rest("jumps", camera()), of_half = rest("rests", half);
+  EXPECT_GT(of_half, 1.5 * of_whole);  // its cells are twice as wide in the picture
+  EXPECT_NEAR(rest("jumps", half), of_half, 0.05 * of_half);
+  EXPECT_NEAR(rest("jumps", camera()), of_whole, 0.05 * of_whole);
 }
 
 // Until the nodes of an edit stand, the picture has no holes that it hasn't before or afterwards;

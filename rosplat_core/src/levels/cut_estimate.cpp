@@ -34,7 +34,7 @@ double errorAt(double place) {
 }  // namespace
 
 CutEstimate::CutEstimate(const std::vector<LevelSamples>& levels, const SplatCamera& camera,
-                         const std::vector<Group>& groups, const ClipBox& box, bool blends) {
+                         const std::vector<Group>& groups, const RenderSettings& settings) {
   using Places = NodeSamples::Each<int>;
   const auto binsOf = [](const NodeSamples::Each<float>& squared) {
     Places bins;
@@ -45,11 +45,11 @@ CutEstimate::CutEstimate(const std::vector<LevelSamples>& levels, const SplatCam
     }
     return bins;
   };
-  const int rise = blends ? kOctave : 0;
+  const int rise = settings.blendsLevels() ? kOctave : 0;
   // For each bin, how many more are drawn as soon as the allowed error falls below it.
   std::array<double, kBins + 1>& more = drawn_;
   for (std::size_t group = 0; group < levels.size(); ++group) {
-    const SeenGroup seen(camera, groups[group], box);
+    const SeenGroup seen(camera, groups[group], settings.clip_box);
     const Cut cut(seen.camera, groups[group].originOrZero(), 1, false);
     for (int level = 0; level < kLevels; ++level) {
       const float size = cellSize(level);

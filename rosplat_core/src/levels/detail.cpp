@@ -71,14 +71,9 @@ std::string toText(const Detail& detail) {
   return text.str();
 }
 
-double DetailControl::choose(const RenderSettings& settings,
-                             const std::vector<LevelSamples>& levels, const SplatCamera& camera,
-                             const std::vector<Group>& groups) {
+double DetailControl::choose(const RenderSettings& settings) {
   const Detail detail = settings.drawnDetail();
   const bool at_once = !settings.interactive;
-  const auto estimate = [&] {
-    return CutEstimate(levels, camera, groups, settings.clip_box, settings.blendsLevels());
-  };
   settled_ = true;
   search_.reset();
   problem_.clear();
@@ -88,13 +83,13 @@ double DetailControl::choose(const RenderSettings& settings,
     case Detail::Kind::kFull:
       return 0;
     case Detail::Kind::kError:
-      finest = finestOf(estimate());
+      finest = finestOf(*expected_);
       return drawable(detail.amount);
     case Detail::Kind::kSplats:
-      search_ = Search{estimate(), detail.amount, at_once};
+      search_ = Search{detail.amount, at_once};
       wanted = errorForBudget();
       if (at_once || wanted >= kCoarsestError) return wanted;
-      finest = finestOf(search_->expected);
+      finest = finestOf(*expected_);
       break;
   }
   wanted = drawable(wanted);
@@ -109,15 +104,15 @@ double DetailControl::choose(const RenderSettings& settings,
 
 double DetailControl::errorForBudget() const {
   const double splats = search_->most / drawn_of_expected_;  // that the estimate would have
-  const double all = search_->expected.errorFor(splats);
-  return all == 0 ? 0 : search_->expected.errorFor(kAim * splats);
+  const double all = expected_->errorFor(splats);
+  return all == 0 ? 0 : expected_->errorFor(kAim * splats);
 }
 
 std::optional<double> DetailControl::drew(double error, std::size_t drawn) {
   error_ = error;
   if (!search_) return {};
   Search& of = *search_;
-  const double expected = of.expected.drawn(error);
+  const double expected = expected_->drawn(error);
   if (drawn > 0 && expected > 0) drawn_of_expected_ = double(drawn) / expected;
   const bool fits = double(drawn) <= of.most;
   if (!fits && error >= kCoarsestError) {

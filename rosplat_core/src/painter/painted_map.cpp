@@ -121,8 +121,8 @@ PaintedMap::Chosen PaintedMap::chooseDetail(const std::string& view_id,
     const bool whole = advanceLevels([&] { return stop(patience); });
     if (levels_.nodes() == 0) return {whole, ""};  // drawn in full until there are nodes
     layer.levels = &levels_;
-    layer.error =
-        control.choose(layer.settings, levels_.samples(), layer.camera, slots_.index().groups());
+    control.expect({levels_.samples(), layer.camera, slots_.index().groups(), layer.settings});
+    layer.error = control.choose(layer.settings);
     return {whole && control.settled(), ""};
   } catch (const std::bad_alloc&) {
     return {true, "there is no memory for levels of detail"};

@@ -85,8 +85,9 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
       merge(renderer);
       PictureLayer& layer = request.layers.front();
       layer.levels = &renderer.levels;
-      layer.error = renderer.detail.choose(layer.settings, renderer.levels.samples(), camera,
-                                           renderer.slots.index().groups());
+      renderer.detail.expect(
+          {renderer.levels.samples(), camera, renderer.slots.index().groups(), layer.settings});
+      layer.error = renderer.detail.choose(layer.settings);
     }
     renderer.rasterizer.draw(request, picture);
     PictureLayer& layer = request.layers.front();

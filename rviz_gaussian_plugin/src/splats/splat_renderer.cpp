@@ -253,6 +253,7 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const Surroundings& around
   view.blend(stopwatch, bool(translucent));
   glFlush();
   // All is submitted: the graphics card works on while the loop waits for its first counts.
+  for (const CardView& map : maps) map.map->expectDetail(map.view_id, map.settings, map.camera);
   while (!view.hasRoom(frame) || missesBudget(frame, view.splats().countsOfLayers(), maps)) {
     view.prepare(frame);
     view.blend(stopwatch, bool(translucent));

@@ -16,10 +16,9 @@ constexpr double kCoarsestError = 1e15;
 // Estimates from samples how many splats and nodes a view draws at each allowed error.
 class CutEstimate {
  public:
-  CutEstimate() = default;
-  // levels, groups: of the map, by group index; blends: whether levels blend into one another.
+  // levels, groups: of the map, by group index.
   CutEstimate(const std::vector<LevelSamples>& levels, const SplatCamera& camera,
-              const std::vector<Group>& groups, const ClipBox& box, bool blends);
+              const std::vector<Group>& groups, const RenderSettings& settings);
 
   double drawn(double error) const;
   // The least error [px] that draws no more than `splats`: 0 for all, kCoarsestError if none does.

@@ -3,12 +3,9 @@
 #include <cstddef>
 #include <optional>
 #include <string>
-#include <vector>
 
 #include "rosplat_core/levels/cut_estimate.hpp"
-#include "rosplat_core/levels/levels.hpp"
 #include "rosplat_core/views/render_settings.hpp"
-#include "rosplat_core/views/splat_camera.hpp"
 
 namespace rosplat {
 
@@ -21,11 +18,15 @@ std::string toText(const Detail& detail);
 // Chooses the error for each of a view's pictures in turn.
 class DetailControl {
  public:
+  // Tells what pictures are expected to draw, from the camera of the next one or, where they are
+  // interactive, of the last one.
+  void expect(CutEstimate drawn) { expected_ = drawn; }
+  bool expects() const { return expected_.has_value(); }
   // Returns the error for the next picture [px]. 0 draws all in full, in place of an error that
   // would draw about as many: levels that blend may draw even more. If nobody waits for pictures
-  // (settings.interactive), the error for a budget moves by small steps that nobody sees.
-  double choose(const RenderSettings& settings, const std::vector<LevelSamples>& levels,
-                const SplatCamera& camera, const std::vector<Group>& groups);
+  // (settings.interactive), the error for a budget moves by small steps that nobody sees. Unless
+  // the settings ask for full detail, expect() must have been called.
+  double choose(const RenderSettings& settings);
   // Tells how many splats and nodes are in the picture. Returns the error [px] to draw it again
   // with, if it missed a budget that must hold at once.
   std::optional<double> drew(double error, std::size_t drawn);
@@ -38,7 +39,6 @@ class DetailControl {
  private:
   // The search for an error that keeps a budget.
   struct Search {
-    CutEstimate expected;
     double most;  // splats
     bool at_once;
     double fine = 0;                 // the largest error so far at which too many were drawn
@@ -48,6 +48,7 @@ class DetailControl {
 
   double errorForBudget() const;
 
+  std::optional<CutEstimate> expected_;
   std::optional<Search> search_;  // while a budget is to be kept
   // Of the last picture. Only drawing shows which splats are hidden, and estimates err.
   double drawn_of_expected_ = 1;

@@ -66,7 +66,20 @@ CardMap::Chosen CardMap::chooseDetail(const std::string& view_id, const RenderSe
   if (at_once || !levels_) makeLevels(now, at_once);
   if (!levels_) return {0, levels_error_};
   view.chooses = true;
-  return {control.choose(settings, levels_->samples(), camera, pages().groups()), ""};
+  if (at_once || !control.expects()) expect(control, settings, camera);
+  return {control.choose(settings), ""};
+}
+
+void CardMap::expectDetail(const std::string& view_id, const RenderSettings& settings,
+                           const SplatCamera& camera) {
+  const auto found = views_.find(view_id);
+  if (!levels_ || !settings.interactive || found == views_.end()) return;
+  expect(found->second.control, settings, camera);
+}
+
+void CardMap::expect(DetailControl& control, const RenderSettings& settings,
+                     const SplatCamera& camera) const {
+  control.expect({levels_->samples(), camera, pages().groups(), settings});
 }
 
 std::optional<double> CardMap::drew(const std::string& view_id, double error, std::size_t drawn) {

@@ -47,6 +47,10 @@ class CardMap {
   };
   Chosen chooseDetail(const std::string& view_id, const RenderSettings& settings,
                       const SplatCamera& camera, double now);
+  // Prepares the choice for the picture after this one, if that is interactive. It takes 0.1 to
+  // 0.2 ms, and pictures that nobody waits for don't wait for it: call it while the card draws.
+  void expectDetail(const std::string& view_id, const RenderSettings& settings,
+                    const SplatCamera& camera);
   // Tells how many splats and nodes the view drew. Returns the error [px] to redraw with if that
   // missed a budget that must hold at once.
   std::optional<double> drew(const std::string& view_id, double error, std::size_t drawn);
@@ -67,6 +71,8 @@ class CardMap {
     bool chooses = false;  // whether `control` chose the detail of the last picture
   };
 
+  void expect(DetailControl& control, const RenderSettings& settings,
+              const SplatCamera& camera) const;
   void makeLevels(double now, bool all);
   void dropLevels();
   void endLevels();
