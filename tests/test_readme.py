@@ -272,8 +272,8 @@ def test_commands_and_their_parameters_exist(page: Path) -> None:
     ):
         assert (Path(get_package_prefix(package)) / "lib" / package / program).exists(), program
         sources = "".join(path.read_text() for path in (ROOT / package).rglob("*.py"))
-        for name in re.findall(r"-p (\w+):=", rest):
-            assert f'"{name}"' in sources, f"{program}: {name}"
+        for name in re.findall(r"-p (?:\w+\.)*(\w+):=", rest):
+            assert re.search(rf'[".]{name}"', sources), f"{program}: {name}"
     for package, file, rest in re.findall(r"ros2 launch (\w+) (\S+)([^\n`]*)", text):
         launch = (Path(get_package_share_directory(package)) / "launch" / file).read_text()
         for name in re.findall(r"(\w+):=", rest):

@@ -57,7 +57,7 @@ SUBJECTS = {
     "frame": Subject(
         "frames, their error and stages, beside other renderers; a map that streams in; memory"
     ),
-    "levels": Subject("error, time, memory and popping of levels of detail"),
+    "levels": Subject("time, memory and popping of levels of detail"),
     "closure": Subject("a loop closure of 50 submaps, from the message to the picture"),
     "simplify": Subject("error of simplified maps, and the processor time of making them"),
     "occupancy": Subject("precision, recall and time of obstacles in a map"),
@@ -213,8 +213,8 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument(
         "--variants", nargs="+", default=[], metavar="NAME",
-        help="of what frame draws: default, tiles, 'float blending', translucent, 'four "
-        f"maps', or another renderer: {', '.join(RENDERERS)}",
+        help="of what frame draws: default, tiles, processor, 'float blending', translucent, "
+        f"'four maps', or another renderer: {', '.join(RENDERERS)}; of levels: card, processor",
     )  # fmt: skip
     parser.add_argument(
         "--displays", type=Path, nargs="+", default=[], metavar="FILE",

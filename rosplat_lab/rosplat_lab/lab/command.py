@@ -103,7 +103,10 @@ def _write(out: Path, docs: Path | None, keep: bool) -> None:
         written.append(picture.write(docs or out, kept["lab"]))
     if docs:
         written += pages.write(docs, kept["lab"], kept["atlas"])
-    say(f"wrote {', '.join(map(str, written))}")
+    if written:
+        say(f"wrote {', '.join(map(str, written))}")
+    elif not keep:
+        raise RecordError(f"{out / 'lab.json'}: no such file")
 
 
 def kind_of(records: Sequence[Record]) -> str:

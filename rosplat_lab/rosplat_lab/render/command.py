@@ -1,7 +1,7 @@
 """Draws the cameras of a file through the whole chain, and holds the pictures against references.
 
-Publisher, sorter and renderer run as separate processes. The renderer's service draws each camera,
-in the sorter's order, or on a graphics card in its own.
+Publisher and renderer run as separate processes. The renderer's service draws each camera, in its
+own order or, with --sidecar, in that of a sorter.
 """
 
 from __future__ import annotations
@@ -65,13 +65,13 @@ def render(
     log_folder: Path = Path("out/log"),
     on_picture: Callable[[Camera, NDArray[np.float32], RenderView.Response], None],
 ) -> None:
-    """Publishes a map, sorts and draws it in processes of their own; hands over each picture.
+    """Publishes a map and draws it in processes of their own; hands over each picture.
 
     publisher: an executable of rosplat_tools and its arguments after --ros-args.
     via is "host", the embedded renderer, or "rviz", the Display in rviz2. on_picture gets the
-    camera, (height, width, 4) premultiplied RGBA and the rest of the answer. sidecar: the sorter's
-    backend, for a renderer that sorts nothing itself while the sorter does. float_blending: in
-    32-bit instead of 16-bit floats. detail: how much of the map to draw, as RenderView has it.
+    camera, (height, width, 4) premultiplied RGBA and the rest of the answer. sidecar: the backend
+    of a sorter, in whose orders is drawn. float_blending: in 32-bit instead of 16-bit floats.
+    detail: how much of the map to draw, as RenderView has it.
     Raises RenderError, ProcessError.
     """
     # A namespace without anybody else's publishers, sorters or viewers.
@@ -79,7 +79,8 @@ def render(
     remap = ["--ros-args", "-r", f"__ns:={namespace}"]
     with Processes(log_folder) as processes:
         processes.node("rosplat_tools", publisher[0], *remap, *publisher[1:], name=PUBLISHER)
-        processes.node("rosplat_sorter", "sorter", *remap, "-p", f"backend:={sidecar or 'auto'}")
+        if sidecar:
+            processes.node("rosplat_sorter", "sorter", *remap, "-p", f"backend:={sidecar}")
         source = "Sidecar" if sidecar else "Auto"
         if via == "rviz":
             start_rviz(processes, f"{namespace}/gaussians", source, float_blending)
@@ -268,7 +269,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument(
         "--sidecar", choices=sorted(BACKENDS), default="",
-        help="on a graphics card, draw the orders of a sorter with this backend",
+        help="draw in the orders of a sorter with this backend",
     )  # fmt: skip
     parser.add_argument(
         "--float-blending", action="store_true", help="blend in 32-bit instead of 16-bit floats"
