@@ -145,6 +145,25 @@ TEST(CpuRasterizer, draws_one_splat_on_one_pixel) {
   EXPECT_NEAR(picture.depth[0], 5, 1e-5);
 }
 
+// Of parallel projection, whose splats may be on both sides of the camera.
+TEST(CpuRasterizer, a_median_depth_may_be_of_any_sign) {
+  for (const float z : {-2.0f, 0.0f, 2.0f}) {
+    Scene scene;
+    scene.add({0, 0, z}, 0.2f, 1, {1, 1, 1});
+    scene.write();
+    PictureRequest wanted = request(8, 8, scene);
+    SplatCamera& camera = wanted.layers[0].camera;
+    camera.orthographic = true;
+    camera.near_clip = -10;
+    camera.ndc_scale = 0.1;
+    camera.ndc_offset = 0;
+    wanted.depth = PictureDepth::kMedian;
+    const SplatPicture picture = draw(rasterizer(), wanted);
+    EXPECT_EQ(picture.depth[8 * 4 + 4], z);
+    EXPECT_TRUE(std::isnan(picture.depth[0]));
+  }
+}
+
 TEST(CpuRasterizer, draws_the_same_to_the_bit_with_any_number_of_threads) {
   const Scene scene = cloud();
   const SplatPicture expected = draw(rasterizer(1), request(scene));

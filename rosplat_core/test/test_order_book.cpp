@@ -152,6 +152,22 @@ TEST_F(OrderBookTest, TheOrderOfASilentSidecarGrowsOld) {
   EXPECT_NEAR(choice.age, 0.1, 1e-9);
 }
 
+// A merge compares the depths of one camera.
+TEST_F(OrderBookTest, SortsAllWhereTheCameraOfTheSidecarsOrderIsForgotten) {
+  upsert(0, {1, 3, 2});
+  book.setCamera("view", 1, camera, 0.0);
+  book.offer(sidecar(1, 1, {1, 2, 0}));
+  for (std::uint64_t sequence = 2; sequence < 200; ++sequence) {
+    camera.translation = {0, 0, 1e-3 * double(sequence)};
+    book.setCamera("view", sequence, camera, 0.0);
+  }
+  upsert(1, {0.5f});
+  const auto choice = until("built-in", [this] { return book.fromSidecar("view", 0.2); });
+  ASSERT_TRUE(choice.order);
+  EXPECT_EQ(choice.order->slots, (Slots{2, 0, 1}));
+  EXPECT_EQ(choice.order->sequence, 199u);
+}
+
 TEST_F(OrderBookTest, ChangedSlotsAreMergedIntoTheSidecarsOrder) {
   upsert(0, {1, 3, 2});
   book.setCamera("view", 1, camera, 0.0);

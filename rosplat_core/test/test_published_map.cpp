@@ -3,6 +3,7 @@
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
+#include <future>
 #include <map>
 #include <new>
 #include <numeric>
@@ -403,6 +404,23 @@ TEST(PublishedMap, IsEditedWhileItIsRepeated) {
   }
   expectHolds(receiver, map);
   wire.settle = nullptr;
+}
+
+TEST(PublishedMap, IsPulledWhileAnEditIsSent) {
+  std::vector<Batch> sent;
+  auto wire = wireTo(sent);
+  const PublishedMap* pulled = nullptr;
+  Receiver receiver;
+  wire.send = [&](Batch&&) {
+    std::async(std::launch::async, [&] { receiver.pull(*pulled); }).get();
+  };
+  PublishedMap map(20'000, "none", wire);
+  pulled = &map;
+  map.replace(splatsOf(3000));
+  map.upsert(1500, splatsOf(3000, 9));
+  map.erase(0, kBlock);
+  map.move({{5, {{1, 0, 0}, {0, 0, 0, 1}}}});
+  expectHolds(receiver, map);
 }
 
 TEST(PublishedMap, AMapThatIsReplacedWhileItIsRepeatedEndsAsTheOther) {

@@ -248,8 +248,7 @@ void Levels::begin(const HostSlots& slots) {
   });
   job->changes = sorted(parts);
   // Pages that now belong to other groups stay marked, for those groups.
-  auto still_marked = marked_;
-  still_marked.erase(group);
+  std::map<std::uint32_t, std::vector<std::uint32_t>> still_marked;
   std::vector<std::pair<Known*, std::uint32_t>> regrouped;  // and the new group
   for (const std::uint32_t first_slot : marked) {
     const SlotPage& page = *slots.index().find(first_slot);
@@ -257,11 +256,17 @@ void Levels::begin(const HostSlots& slots) {
     still_marked[page.group].push_back(first_slot);
     regrouped.emplace_back(known_[page.place].get(), page.group);
   }
-  job->marked = marked;
-  marked_ = std::move(still_marked);
-  job_ = std::move(job);
-
+  for (auto& [of, pages] : still_marked) {
+    std::vector<std::uint32_t>& all = marked_[of];
+    all.reserve(all.size() + pages.size());
+  }
   // Nothing from here on needs memory, so the job takes all marks or, after a throw, none.
+  for (const auto& [of, pages] : still_marked) {
+    marked_[of].insert(marked_[of].end(), pages.begin(), pages.end());
+  }
+  job->marked = std::move(next->second);
+  marked_.erase(next);
+  job_ = std::move(job);
   inParts(team_.get(), job_->marked.size(),
           [this, &slots](std::size_t i) { know(slots, *slots.index().find(job_->marked[i])); });
   for (const auto& [known, to] : regrouped) {
@@ -587,7 +592,7 @@ std::size_t Levels::nodes() const {
 }
 
 std::size_t Levels::bytes() const {
-  std::size_t bytes = known_.size() * (sizeof(Known) + sizeof(*HostSlots::Page::parents));
+  std::size_t bytes = known_.size() * sizeof(Known);
   for (const Nodes& of_group : nodes_) {
     for (const Pages& level : of_group) {
       for (const auto& page : level) bytes += page->bytes();

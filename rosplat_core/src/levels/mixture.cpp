@@ -88,8 +88,7 @@ float nodeExtentOf(const PackedSlot& node) {
 }
 
 Mixture::Mixture(Cell cell, int sh_degree)
-    : cell_(cell),
-      sh_degree_(sh_degree),
+    : sh_degree_(sh_degree),
       coefficients_(3 * ((sh_degree + 1) * (sh_degree + 1) - 1)),
       corner_(cornerOf(cell)),
       size_(cellSize(levelOf(cell))) {}

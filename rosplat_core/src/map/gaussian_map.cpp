@@ -275,23 +275,23 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   next.expected = batch.expected_slots;
   if (values && batch.count > 0 && next.capacity == 0) next.antialiased = batch.antialiased;
 
-  std::optional<Groups> regrouped;
-  const auto groups = [&]() -> Groups& {
-    return regrouped ? *regrouped : regrouped.emplace(groups_);
-  };
-  if (edit->clear) regrouped.emplace();
-  for (const GroupMove& move : moves) groups().move(move);
-  std::uint32_t group_index = 0;
-  if (values && batch.count > 0) {
-    const Group* const known = (regrouped ? *regrouped : groups_).find(batch.group);
-    if (!known || !known->origin) {
-      groups().write(batch.group, batch.origin);
-      ++next.groups;
-    }
-    const Groups& all = regrouped ? *regrouped : groups_;
+  Groups fresh_groups;
+  Groups& groups = edit->clear ? fresh_groups : groups_;
+  const bool places = values && batch.count > 0;
+  if (const std::size_t more = moves.size() + (places ? 1 : 0); !groups.hasRoom(more)) {
+    Groups larger = groups;
+    larger.makeRoom(more);
+    const std::lock_guard lock(locks_.exchanging);
+    std::swap(groups, larger);
+  }
+  std::size_t group_index = 0;
+  if (places) {
+    const Group* const known = groups.find(batch.group);
+    const bool has_origin = known && known->origin;
     edit->group = batch.group;
-    edit->origin = *all.find(batch.group)->origin;
-    group_index = static_cast<std::uint32_t>(all.find(batch.group) - all.all().data());
+    edit->origin = has_origin ? *known->origin : batch.origin;
+    next.groups += has_origin ? 0 : 1;
+    group_index = known ? std::size_t(known - groups.all().data()) : groups.all().size();
   }
   edit->moves = std::move(moves);
 
@@ -357,7 +357,8 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
     next.splats += int(kept[i]) - int(before[i]);
     if (kept[i]) {
       const std::uint32_t* const words = &edit->slots[kSlotWords * i];
-      sample.keep(slot, {edit->position(i), largestScale(words), slotOpacity(words), group_index});
+      sample.keep(slot, {edit->position(i), largestScale(words), slotOpacity(words),
+                         static_cast<std::uint32_t>(group_index)});
     } else {
       sample.drop(slot);
     }
@@ -384,7 +385,9 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   const std::lock_guard lock(locks_.exchanging);
   state_ = std::move(next);
   sample_ = std::move(sample);
-  if (regrouped) groups_ = std::move(*regrouped);
+  if (edit->clear) groups_ = std::move(fresh_groups);
+  for (const GroupMove& move : edit->moves) groups_.move(move);
+  if (places) groups_.write(edit->group, edit->origin);
   lost_ = batch.arrival == Arrival::kPulled && !edit->clear ? lost_ - 1 : 0;
   return edit;
 }
@@ -411,6 +414,8 @@ std::vector<std::uint32_t> GaussianMap::blocksOfOthers(const SlotSet& used, cons
       }
     }
   }
+  std::sort(blocks.begin(), blocks.end());
+  blocks.erase(std::unique(blocks.begin(), blocks.end()), blocks.end());
   return blocks;
 }
 

@@ -1,6 +1,13 @@
 #include "rosplat_core/map/groups.hpp"
 
+#include <algorithm>
+
 namespace rosplat {
+
+namespace {
+constexpr std::uint16_t kUnnamed = 0xffff;
+static_assert(kMostGroups <= kUnnamed);
+}  // namespace
 
 std::array<double, 3> Group::inMap(const std::array<double, 3>& position) const {
   const std::array<double, 3> from = originOrZero();
@@ -17,8 +24,15 @@ std::array<float, 4> Group::inMap(const std::array<float, 4>& orientation) const
 }
 
 const Group* Groups::find(std::uint32_t number) const {
-  const auto found = indices_.find(number);
-  return found == indices_.end() ? nullptr : &groups_[found->second];
+  const bool known = number < indices_.size() && indices_[number] != kUnnamed;
+  return known ? &groups_[indices_[number]] : nullptr;
+}
+
+void Groups::makeRoom(std::size_t more) {
+  if (more > 0 && indices_.empty()) indices_.assign(kMostGroups, kUnnamed);
+  if (const std::size_t all = groups_.size() + more; all > groups_.capacity()) {
+    groups_.reserve(std::max(all, 2 * groups_.size()));
+  }
 }
 
 void Groups::move(const GroupMove& move) {
@@ -34,10 +48,12 @@ std::uint32_t Groups::write(std::uint32_t number, const std::array<double, 3>& o
 }
 
 std::uint32_t Groups::indexOf(std::uint32_t number) {
-  if (const auto found = indices_.find(number); found != indices_.end()) return found->second;
-  const auto index = static_cast<std::uint32_t>(groups_.size());
-  groups_.emplace_back().number = number;
-  indices_.emplace(number, index);
+  makeRoom(1);
+  std::uint16_t& index = indices_[number];
+  if (index == kUnnamed) {
+    index = static_cast<std::uint16_t>(groups_.size());
+    groups_.emplace_back().number = number;
+  }
   return index;
 }
 

@@ -309,7 +309,8 @@ void PublishedMap::upsert(const NamedSlots& slots, const SplatsView& splats, std
                                 std::to_string(slots.size()) + " slots");
   }
   const std::vector<std::string> channels = namesOf(splats);
-  const Lock turn(turns_), lock(mutex_);
+  const Lock turn(turns_);
+  Lock lock(mutex_);
   const Plan plan = prepared(*map_, slots, splats, group);
   const std::size_t bytes = Content::splatBytes(std::max(plan.sh_degree, map_->sh_degree),
                                                 channels.size(), slots.listed());
@@ -318,7 +319,7 @@ void PublishedMap::upsert(const NamedSlots& slots, const SplatsView& splats, std
   warnOf(write(*map_, slots, splats, plan, group, numbering.last()));
   for (const NamedSlots& part : parts) {
     const auto operation = revision_ > 0 ? GaussianBatch::UPSERT : GaussianBatch::REPLACE;
-    send(writing(operation, part, group, map_->sh_degree, channels, stamp));
+    send(lock, writing(operation, part, group, map_->sh_degree, channels, stamp));
   }
 }
 
@@ -331,7 +332,8 @@ void PublishedMap::erase(std::uint32_t first_slot, std::uint32_t count, const Wh
 }
 
 void PublishedMap::erase(const NamedSlots& slots, const When& stamp) {
-  const Lock turn(turns_), lock(mutex_);
+  const Lock turn(turns_);
+  Lock lock(mutex_);
   for (const auto& [number, count] : slots.touched()) {
     const auto found = map_->pages.find(number);
     if (found == map_->pages.end()) continue;
@@ -356,9 +358,10 @@ void PublishedMap::erase(const NamedSlots& slots, const When& stamp) {
       page.used[k] = false;
       if (page.changed[k] != revision) page.changed.set(k, revision);
     }
+    if (page.used.none()) page.splats = {};
   }
-  begin(stamp);
-  for (const NamedSlots& part : parts) send(deletion(part, stamp));
+  begin(lock, stamp);
+  for (const NamedSlots& part : parts) send(lock, deletion(part, stamp));
 }
 
 void PublishedMap::move(const Poses& poses, const When& stamp) {
@@ -368,15 +371,16 @@ void PublishedMap::move(const Poses& poses, const When& stamp) {
     placed.emplace(group, checkedPose(pose, group));
   }
   if (placed.empty()) return;
-  const Lock turn(turns_), lock(mutex_);
+  const Lock turn(turns_);
+  Lock lock(mutex_);
   for (const auto& [group, pose] : placed) map_->groups[group];
   const Numbering numbering(revision_, beginnings() + 1);
   for (const auto& [group, pose] : placed) {
     map_->groups[group].pose = pose;
     map_->groups[group].placed = numbering.last();
   }
-  begin(stamp);
-  send(placement(std::move(placed), stamp));
+  begin(lock, stamp);
+  send(lock, placement(std::move(placed), stamp));
 }
 
 // Checks an edit and allocates its memory. Throws std::invalid_argument if the edit isn't allowed:
@@ -515,9 +519,9 @@ void PublishedMap::sendSplats(Lock& turn, Lock& lock, const When& stamp, bool wa
     page.regrouped = 0;
   }
   if (Poses poses = placedAfter(0); !poses.empty()) {  // first, so that no splat is drawn elsewhere
-    send(beginning(stamp));
+    send(lock, beginning(stamp));
     for (const auto& [group, pose] : poses) map_->groups[group].placed = revision_ + 1;
-    send(placement(std::move(poses), stamp));
+    send(lock, placement(std::move(poses), stamp));
   }
   Slots slots;
   bool ended = false;
@@ -578,13 +582,21 @@ void PublishedMap::sendSplats(Lock& turn, Lock& lock, const When& stamp, bool wa
 // loops, this REPLACE empties the map of the previous round.
 std::size_t PublishedMap::beginnings() const { return revision_ > 0 ? 0 : 1; }
 
-void PublishedMap::begin(const When& stamp) {
-  if (beginnings() > 0) send(beginning(stamp));
+void PublishedMap::begin(Lock& lock, const When& stamp) {
+  if (beginnings() > 0) send(lock, beginning(stamp));
 }
 
-void PublishedMap::send(Batch&& batch) {
+// Other edits wait for their turn meanwhile; pulls and getters don't wait.
+void PublishedMap::send(Lock& lock, Batch&& batch) {
   batch.revision = ++revision_;
-  wire_.send(std::move(batch));
+  lock.unlock();
+  try {
+    wire_.send(std::move(batch));
+  } catch (...) {
+    lock.lock();
+    throw;
+  }
+  lock.lock();
 }
 
 // --- Batches, of the revision that the map has now -----------------------------------------------

@@ -39,16 +39,11 @@ void SlotPages::apply(const GaussianEdit& edit) {
     if (known + more > pages_.capacity()) pages_.reserve(known + more + known / 4);
     emptied_.reserve(more);
   }
-  const Group* const known = edit.clear ? nullptr : groups_.find(edit.group);
-  std::uint32_t group = 0;
-  if (edit.clear || !edit.moves.empty() || (writes && !(known && known->origin))) {
-    Groups groups = edit.clear ? Groups{} : groups_;
-    for (const GroupMove& move : edit.moves) groups.move(move);
-    if (writes) group = groups.write(edit.group, edit.origin);
-    groups_ = std::move(groups);
-  } else if (writes) {
-    group = static_cast<std::uint32_t>(known - groups_.all().data());
-  }
+  Groups fresh;
+  (edit.clear ? fresh : groups_).makeRoom(edit.moves.size() + (writes ? 1 : 0));
+  if (edit.clear) groups_ = std::move(fresh);
+  for (const GroupMove& move : edit.moves) groups_.move(move);
+  const std::uint32_t group = writes ? groups_.write(edit.group, edit.origin) : 0;
   emptied_.clear();
   if (edit.clear) pages_.clear();
   std::size_t i = 0;

@@ -138,6 +138,7 @@ void BuiltInSorter::apply(EditQueue::Waiting item) noexcept {
   };
   if (edit.clear) {
     forget();
+    depth_order_.release();
     out_of_memory_ = false;
   }
   if (edit.clear || edit.round != round_) {  // former revisions are void

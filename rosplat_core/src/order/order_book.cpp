@@ -64,13 +64,16 @@ void OrderBook::request(const std::string& view_id, ViewOrders& view, const Orde
     return;
   }
   // A merge compares depths, so it needs the camera that the base was sorted for.
-  const Camera* camera = &view.cameras.back();
-  if (base) {
-    for (const Camera& past : view.cameras) {
-      if (past.sequence <= base->sequence) camera = &past;
-    }
+  const Camera* camera = nullptr;
+  for (const Camera& past : view.cameras) {
+    if (base && past.sequence <= base->sequence) camera = &past;
   }
-  built_in_.request(view_id, base ? base->sequence : camera->sequence, camera->camera, base);
+  if (camera) {
+    built_in_.request(view_id, base->sequence, camera->camera, base);
+  } else {  // there is no base, or its camera is forgotten
+    const Camera& newest = view.cameras.back();
+    built_in_.request(view_id, newest.sequence, newest.camera, nullptr);
+  }
   view.requested_sequence = view.cameras.back().sequence;
   view.requested_at = changes_;
   view.requested_base = base;

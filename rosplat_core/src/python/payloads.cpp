@@ -63,6 +63,10 @@ bool suits(const py::object& arrays, const Array<bool>& usable) {
 py::dict decode(const Array<std::uint8_t>& bytes, std::size_t count, int sh_degree,
                 const std::string& format) {
   const PayloadFormat known = payloadFormat(format);
+  if (sh_degree < 0 || sh_degree > kMaxShDegree) {
+    throw std::invalid_argument("sh_degree is " + std::to_string(sh_degree) + ", not 0 to " +
+                                std::to_string(kMaxShDegree));
+  }
   const std::size_t expected = known.size(count, sh_degree);
   if (static_cast<std::size_t>(bytes.size()) != expected) {
     throw std::invalid_argument("payload has " + std::to_string(bytes.size()) + " bytes, " +

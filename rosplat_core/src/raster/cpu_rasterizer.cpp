@@ -159,7 +159,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
       for (std::size_t i = part.begin; i < part.end; ++i) {
         float& depth = picture->depth[i];
         const float alpha = picture->colour[4 * i + 3];
-        const bool there = request.depth == PictureDepth::kMean ? alpha > 0 : depth > 0;
+        const bool there = request.depth == PictureDepth::kMean ? alpha > 0 : alpha >= 0.5f;
         if (!there) depth = std::numeric_limits<float>::quiet_NaN();
         if (request.depth == PictureDepth::kMean) depth /= alpha;
       }

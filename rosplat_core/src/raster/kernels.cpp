@@ -604,7 +604,7 @@ void blendInto(TilePixels& into, int pixel, Floats falloff, Ints where, const Fl
   }
   if (kDepth == PictureDepth::kMedian) {
     const Floats so_far = load(into.depth + pixel);
-    store(into.depth + pixel, (so_far == 0.0f) & (behind <= 0.5f) ? depth : so_far);
+    store(into.depth + pixel, (transmittance > 0.5f) & (behind <= 0.5f) ? depth : so_far);
   }
   if (share == kGaussianBallShare) weight = where ? weight * falloff : Floats{};
   for (int i = 0; i < 3; ++i) {

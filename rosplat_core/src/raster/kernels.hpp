@@ -118,7 +118,7 @@ struct Listed {
 struct alignas(64) TilePixels {
   float transmittance[kTilePixels];
   float colour[3][kTilePixels];
-  float depth[kTilePixels];  // kMean: weighted sum; kMedian: the depth, 0 if there is none yet
+  float depth[kTilePixels];  // kMean: weighted sum; kMedian: the depth, once there is one
 };
 
 // A tile, and the splats in its list.

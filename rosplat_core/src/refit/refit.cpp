@@ -8,6 +8,7 @@
 
 #include "refit/refit_kernels.hpp"
 #include "rosplat_core/slots/constants.hpp"
+#include "rosplat_core/threads/in_parts.hpp"
 
 namespace rosplat {
 
@@ -342,7 +343,7 @@ double Refit::draw(const Drawing& view, const float* target) {
   Work& work = *work_;
   const std::size_t chunks = (count_ + kChunk - 1) / kChunk;
   work.chunks.resize(chunks);
-  team_->run(static_cast<unsigned>(chunks), [&](unsigned number, unsigned) {
+  inParts(team_.get(), chunks, [&](std::size_t number) {
     auto& chunk = work.chunks[number];
     chunk.clear();
     const std::size_t end = std::min(count_, (number + 1) * kChunk);

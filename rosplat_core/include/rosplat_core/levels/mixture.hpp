@@ -30,7 +30,6 @@ class Mixture {
 
   double areaOf(const Symmetric& covariance) const;
 
-  Cell cell_;
   int sh_degree_, coefficients_;
   std::array<double, 3> corner_;
   double size_;

@@ -4,7 +4,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
-#include <unordered_map>
 #include <vector>
 
 #include "rosplat_core/map/placement.hpp"
@@ -38,7 +37,7 @@ struct GroupMove {
   Pose pose;
 };
 
-// The groups of a map. Only those that were named take memory, whatever their numbers.
+// The groups of a map. Their numbers are below kMostGroups.
 class Groups {
  public:
   // By index: 0, 1, 2, ... in the order in which they came. A group keeps its index.
@@ -46,6 +45,11 @@ class Groups {
   // Null for a group that was never named.
   const Group* find(std::uint32_t number) const;
 
+  // Makes room for so many new groups: move() and write() of these need no memory.
+  void makeRoom(std::size_t more);
+  bool hasRoom(std::size_t more) const {
+    return more == 0 || (!indices_.empty() && groups_.size() + more <= groups_.capacity());
+  }
   void move(const GroupMove& move);
   // Notes that splats are written to a group: the first ones set its origin. Returns its index.
   std::uint32_t write(std::uint32_t number, const std::array<double, 3>& origin);
@@ -54,7 +58,7 @@ class Groups {
   std::uint32_t indexOf(std::uint32_t number);
 
   std::vector<Group> groups_;
-  std::unordered_map<std::uint32_t, std::uint32_t> indices_;  // by number
+  std::vector<std::uint16_t> indices_;  // by number; empty without groups
 };
 
 }  // namespace rosplat

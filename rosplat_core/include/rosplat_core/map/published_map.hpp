@@ -167,8 +167,8 @@ class PublishedMap {
   void sendMap(Lock& turn, Lock& lock, const When& stamp, bool waits);
   void sendSplats(Lock& turn, Lock& lock, const When& stamp, bool waits);
   std::size_t beginnings() const;
-  void begin(const When& stamp);
-  void send(Batch&& batch);
+  void begin(Lock& lock, const When& stamp);
+  void send(Lock& lock, Batch&& batch);
 
   template <typename Each>
   void forEach(const NamedSlots& slots, const Each& each) const;

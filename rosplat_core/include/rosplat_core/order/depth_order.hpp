@@ -98,6 +98,14 @@ class DepthOrder {
     return order_;
   }
 
+  // Frees the workspace.
+  void release() {
+    found_ = {};
+    dealt_ = {};
+    for (ScratchBuffer<Entry>& scratch : scratch_) scratch = {};
+    order_ = {};
+  }
+
   // Returns the depth along the optical axis that sort() orders by [m].
   static float depth(const SortView& view, const float* position) {
     return transform(view, 2, position);
