@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstddef>
 #include <numeric>
+#include <utility>
 
 #include "raster/kernels.hpp"
 
@@ -19,37 +20,45 @@ int cellsIn(int pixels) { return (pixels + PictureMesh::kCell - 1) / PictureMesh
 // Fills the gaps of a grid, values of weight 0, with the mean of the neighbours that have a weight,
 // ring by ring.
 void fillGaps(std::vector<float>& values, std::vector<float>& weights, int columns, int rows) {
-  const auto index = [columns](int column, int row) {
-    return static_cast<std::size_t>(row) * static_cast<std::size_t>(columns) +
-           static_cast<std::size_t>(column);
-  };
-  struct Gap {
-    int column, row;
-    float value;
-  };
-  std::vector<Gap> filled;
-  do {
-    filled.clear();
-    for (int row = 0; row < rows; ++row) {
-      for (int column = 0; column < columns; ++column) {
-        if (weights[index(column, row)] > 0) continue;
-        float sum = 0;
-        int found = 0;
-        for (int r = std::max(row - 1, 0); r <= std::min(row + 1, rows - 1); ++r) {
-          for (int c = std::max(column - 1, 0); c <= std::min(column + 1, columns - 1); ++c) {
-            if (!(weights[index(c, r)] > 0)) continue;
-            sum += values[index(c, r)];
-            ++found;
-          }
-        }
-        if (found) filled.push_back({column, row, sum / static_cast<float>(found)});
+  const auto forNeighbours = [&](int place, const auto& each) {
+    const int row = place / columns, column = place % columns;
+    for (int r = std::max(row - 1, 0); r <= std::min(row + 1, rows - 1); ++r) {
+      for (int c = std::max(column - 1, 0); c <= std::min(column + 1, columns - 1); ++c) {
+        each(r * columns + c);
       }
     }
-    for (const Gap& gap : filled) {
-      values[index(gap.column, gap.row)] = gap.value;
-      weights[index(gap.column, gap.row)] = 1;
+  };
+  constexpr float kListed = -1;  // weight of a gap in `gaps`
+  std::vector<int> gaps;         // that may have such a neighbour
+  for (int place = 0; place < rows * columns; ++place) {
+    if (weights[std::size_t(place)] == 0) gaps.push_back(place);
+  }
+  std::vector<std::pair<int, float>> filled;
+  while (!gaps.empty()) {
+    filled.clear();
+    for (const int gap : gaps) {
+      float sum = 0;
+      int found = 0;
+      forNeighbours(gap, [&](int place) {
+        if (!(weights[std::size_t(place)] > 0)) return;
+        sum += values[std::size_t(place)];
+        ++found;
+      });
+      if (found) filled.emplace_back(gap, sum / static_cast<float>(found));
     }
-  } while (!filled.empty());
+    for (const auto& [gap, value] : filled) {
+      values[std::size_t(gap)] = value;
+      weights[std::size_t(gap)] = 1;
+    }
+    gaps.clear();
+    for (const auto& [gap, value] : filled) {
+      forNeighbours(gap, [&](int place) {
+        if (weights[std::size_t(place)] != 0) return;
+        weights[std::size_t(place)] = kListed;
+        gaps.push_back(place);
+      });
+    }
+  }
 }
 
 }  // namespace
