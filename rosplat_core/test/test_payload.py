@@ -56,6 +56,13 @@ def test_sizes():
     assert (size(1000, 3) - size(0, 3)) / 1000 == 70
 
 
+@pytest.mark.parametrize("format", ["quantised", "packed"])
+@pytest.mark.parametrize("sh_degree", [-1, 4, 10])
+def test_a_degree_that_no_splat_has_is_refused(sh_degree, format):
+    with pytest.raises(PayloadError, match=f"sh_degree is {sh_degree}"):
+        decode(np.zeros(4 * 10 * (8 + 11 * 11), np.uint8), 10, sh_degree, format)
+
+
 def test_what_was_decoded_comes_back_as_it_is():
     given = arrays(500)
     once = decode(encode(given, all_of(given)), 500, 3)
