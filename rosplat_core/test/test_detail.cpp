@@ -14,17 +14,26 @@ namespace {
 
 using Kind = Detail::Kind;
 
-// A plain of splats before a camera that looks along it.
+// A plain of splats before a camera that looks along it, in groups that lie beside one another.
 struct Plain {
-  explicit Plain(std::uint32_t count) : levels(std::make_shared<ThreadTeam>(2)) {
+  explicit Plain(std::uint32_t count, std::uint32_t groups = 1)
+      : levels(std::make_shared<ThreadTeam>(2)) {
     std::mt19937 random(5);
     std::uniform_real_distribution<float> unit(-1, 1);
-    OwnedBatch batch(1);
-    for (std::uint32_t i = 0; i < count; ++i) {
-      batch.add({30 * unit(random), 2, 31 + 30 * unit(random)}, {0.03f, 0.001f, 0.03f}, 0.9f);
+    const std::uint32_t each = count / groups;
+    const std::uint32_t room = (each + SlotPage::kSlots - 1) / SlotPage::kSlots * SlotPage::kSlots;
+    for (std::uint32_t group = 0; group < groups; ++group) {
+      OwnedBatch batch(group + 1, group == 0 ? GaussianBatch::REPLACE : GaussianBatch::UPSERT,
+                       group * room);
+      batch.group = group;
+      const float wide = 30.0f / float(groups), middle = wide * float(2 * group + 1) - 30;
+      for (std::uint32_t i = 0; i < each; ++i) {
+        batch.add({middle + wide * unit(random), 2, 31 + 30 * unit(random)}, {0.03f, 0.001f, 0.03f},
+                  0.9f);
+      }
+      BatchReport report;
+      slots.apply(*map.apply(batch.look(), report), 0);
     }
-    BatchReport report;
-    slots.apply(*map.apply(batch.look(), report), 0);
     levels.advance(slots, [] { return false; });
     PictureLayer& layer = request.layers.emplace_back();
     layer.slots = &slots;
@@ -100,15 +109,31 @@ TEST(Detail, OfNothingOrOfNonsenseIsRefused) {
 }
 
 TEST(CutEstimate, ComesCloseToWhatIsDrawn) {
-  Plain plain(60000);
-  const CutEstimate estimate = plain.estimate();
-  for (const double error : {0.0, 2.0, 5.0, 10.0, 30.0}) {
-    const auto drawn = double(plain.draw(error).layers[0].drawn);
-    EXPECT_NEAR(estimate.drawn(error), drawn, 0.15 * drawn) << error;
+  for (const std::uint32_t groups : {1u, 12u}) {
+    Plain plain(60000, groups);
+    const CutEstimate estimate = plain.estimate();
+    for (const double error : {0.0, 2.0, 5.0, 10.0, 30.0}) {
+      const auto drawn = double(plain.draw(error).layers[0].drawn);
+      EXPECT_NEAR(estimate.drawn(error), drawn, 0.15 * drawn) << error << ", " << groups;
+    }
   }
+  const Plain plain(60000);
+  const CutEstimate estimate = plain.estimate();
   EXPECT_NEAR(estimate.errorFor(estimate.drawn(10)), 10, 0.1);
   EXPECT_EQ(estimate.errorFor(1e6), 0);
   EXPECT_EQ(estimate.errorFor(0.5), kCoarsestError);
+}
+
+TEST(CutEstimate, ReadsNoMoreOfManyGroups) {
+  const auto samples = [](const Plain& plain, std::size_t level) {
+    std::size_t count = 0;
+    for (const LevelSamples& of_group : plain.levels.samples()) count += of_group[level].size();
+    return count;
+  };
+  const Plain one(60000), many(60000, 12);
+  for (std::size_t level = 0; level < std::size_t(kLevels); ++level) {
+    EXPECT_LE(samples(many, level), samples(one, level) + 2 * 12) << level;
+  }
 }
 
 TEST(Budget, IsKeptAndUsed) {

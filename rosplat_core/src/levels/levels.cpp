@@ -12,7 +12,7 @@ namespace rosplat {
 namespace {
 
 constexpr std::uint32_t kSlots = SlotPage::kSlots;
-constexpr std::size_t kMostSamples = 1024;  // of a level
+constexpr std::size_t kMostSamples = 1024;  // of a level, of all groups together
 
 // Goes through the nodes of a level as they ascend, from a cell on.
 class NodeCursor {
@@ -69,11 +69,12 @@ auto changesFrom(const Changes& changes, Cell from) {
                           [](const auto& change, Cell cell) { return change.cell < cell; });
 }
 
-// Divides a level's nodes into equal runs. The node in the middle of each run stands for the run.
-std::vector<NodeSamples> sampledLevel(const Levels::Pages& pages) {
+// Divides a level's nodes into equal runs, `most` at most. The node in the middle of each run
+// stands for the run.
+std::vector<NodeSamples> sampledLevel(const Levels::Pages& pages, std::size_t most) {
   std::size_t nodes = 0;
   for (const auto& page : pages) nodes += page->cells.size();
-  const std::size_t count = std::min(nodes, kMostSamples);
+  const std::size_t count = std::min(nodes, most);
   std::vector<NodeSamples> samples((count + NodeSamples::kCount - 1) / NodeSamples::kCount);
   if (!samples.empty()) samples.back().extent.fill(-1);
   auto page = pages.begin();
@@ -216,7 +217,7 @@ bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop,
       }
       make(slots, std::min(left, 4 * std::size_t(team_->size())));
     }
-    LevelSamples samples = sampled(job_->pages);
+    LevelSamples samples = sampled(job_->pages, job_->group);
     publish(slots);
     const std::unique_ptr<Job> done = std::move(job_);
     nodes_[done->group] = std::move(done->pages);
@@ -574,10 +575,19 @@ void Levels::publish(HostSlots& slots) const {
   });
 }
 
-LevelSamples Levels::sampled(const Nodes& nodes) const {
+// A group gets samples by its share of the map, lest an estimate take longer the more groups there
+// are.
+LevelSamples Levels::sampled(const Nodes& nodes, std::uint32_t group) const {
+  std::size_t all = 0, own = 0;  // pages of slots
+  for (const std::unique_ptr<Known>& known : known_) {
+    if (!known) continue;
+    ++all;
+    own += std::size_t(known->group == group);
+  }
+  const std::size_t most = std::max(kMostSamples * own / all, NodeSamples::kCount);
   LevelSamples samples;
   inParts(team_.get(), nodes.size(),
-          [&](std::size_t level) { samples[level] = sampledLevel(nodes[level]); });
+          [&](std::size_t level) { samples[level] = sampledLevel(nodes[level], most); });
   return samples;
 }
 

@@ -161,7 +161,7 @@ class Levels {
                std::size_t end) const;
   void fill(Piece& piece, const std::vector<Made>& made, int sh_degree) const;
   void publish(HostSlots& slots) const;
-  LevelSamples sampled(const Nodes& nodes) const;
+  LevelSamples sampled(const Nodes& nodes, std::uint32_t group) const;
 
   std::shared_ptr<ThreadTeam> team_;
   bool begun_ = false;
