@@ -194,7 +194,7 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = UP) -> NDArray[np
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, up)
     if np.linalg.norm(right) < 1e-9 * np.linalg.norm(up):
-        right = np.cross(forward, np.roll(up, 1))
+        right = np.cross(forward, np.eye(3)[np.abs(up).argmin()])
     right = right / np.linalg.norm(right)
     transform = np.eye(4)
     transform[:3, :3] = [right, np.cross(forward, right), forward]

@@ -15,8 +15,8 @@ ROOMS = "rooms:"
 GENERATED = {PROCEDURAL: "garden", ROOMS: "rooms"}
 
 NAMES = (
-    ".ply, .compressed.ply, .spz, .sog, a SOG folder, .splat, .ksplat, .npz, .glb, .gltf, "
-    ".usd, .usda, .usdc, .usdz, procedural:COUNT[:SEED] or rooms:COUNT[:SEED]"
+    ".ply, .compressed.ply, .spz, .sog, a SOG folder, lod-meta.json, .splat, .ksplat, .npz, .glb, "
+    ".gltf, .usd, .usda, .usdc, .usdz, procedural:COUNT[:SEED] or rooms:COUNT[:SEED]"
 )
 
 

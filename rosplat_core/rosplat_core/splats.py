@@ -280,10 +280,11 @@ def rebase(positions: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float32], N
 
 
 def concatenate(parts: Sequence[Splats]) -> Splats:
-    """Joins sets of splats, in order; the result has the first one's origin and the highest degree.
+    """Joins sets of splats, in order; the result has the highest degree.
 
-    Where a part lacks a channel, its splats have NaN. Raises ValueError without any part, when only
-    some parts are antialiased, or for more channels than a map can have.
+    Parts of one origin keep it and all of their bits; else most of the splats have a say in a new
+    one. Where a part lacks a channel, its splats have NaN. Raises ValueError without any part, when
+    only some parts are antialiased, or for more channels than a map can have.
     """
     if not parts:
         raise ValueError("nothing to concatenate")
@@ -292,11 +293,11 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
     first = parts[0]
     degree = max(part.sh_degree for part in parts)
     names = dict.fromkeys(name for part in parts for name in part.channels)
+    apart = any((part.origin != first.origin).any() for part in parts)
     return replace(
         first,
-        positions=np.concatenate(
-            [(p.positions + (p.origin - first.origin)).astype(np.float32) for p in parts]
-        ),
+        positions=np.concatenate([p.positions + p.origin if apart else p.positions for p in parts]),
+        origin=np.zeros(3) if apart else first.origin,
         orientations=np.concatenate([p.orientations for p in parts]),
         scales=np.concatenate([p.scales for p in parts]),
         opacities=np.concatenate([p.opacities for p in parts]),

@@ -123,6 +123,13 @@ def test_look_at_puts_the_target_ahead(eye: tuple[float, ...], target: tuple[flo
     assert transform[1, 2] <= 1e-9  # up in the world is not down in the picture
 
 
+@pytest.mark.parametrize("up", [(1, 1, 1), (0, 0, 2), (-3, 0, 0)])
+def test_look_at_along_the_vertical(up: tuple[float, ...]) -> None:
+    rotation = look_at((0, 0, 0), up, up)[:3, :3]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1)
+
+
 def test_look_at_nothing() -> None:
     with pytest.raises(ValueError, match="own position"):
         look_at((1, 1, 1), (1, 1, 1))

@@ -196,6 +196,33 @@ def test_whole_numbers(tmp_path: Path, changed: Callable[[Change], Path]) -> Non
     np.testing.assert_allclose(splats.opacities[:19], 0.2)
 
 
+@pytest.mark.parametrize("offset", [0, 8])
+def test_interleaved_attributes(random_splats: Make, tmp_path: Path, offset: int) -> None:
+    """All of a splat's floats side by side, from some byte of the view on."""
+    splats = random_splats(20, 0)
+    save(tmp_path / "a.glb", splats)
+    asset, _ = parts(tmp_path / "a.glb")
+    columns = {
+        "POSITION": splats.positions,
+        f"{PREFIX}ROTATION": splats.orientations,
+        f"{PREFIX}SCALE": splats.scales,
+        f"{PREFIX}OPACITY": splats.opacities[:, None],
+        f"{PREFIX}SH_DEGREE_0_COEF_0": splats.sh[:, 0],
+    }
+    data = bytes(offset) + np.concatenate(list(columns.values()), axis=1).tobytes()
+    asset["bufferViews"] = [{"buffer": 0, "byteLength": len(data), "byteStride": 56}]
+    asset["buffers"] = [{"byteLength": len(data)}]
+    place = offset
+    for name, values in columns.items():
+        asset["accessors"][attributes(asset)[name]] |= {"bufferView": 0, "byteOffset": place}
+        place += 4 * values.shape[1]
+    read = load(write(tmp_path / "b.glb", asset, data))
+    np.testing.assert_array_equal(read.positions, splats.positions)
+    np.testing.assert_array_equal(read.scales, splats.scales)
+    np.testing.assert_array_equal(read.opacities, splats.opacities)
+    np.testing.assert_array_equal(read.sh, splats.sh)
+
+
 def picture(splats: Splats, pose: np.ndarray) -> np.ndarray:
     """What a camera sees that stands 6 m before splats of a given pose, wherever that is."""
     seen = look_at((1, 2, 6), (0, 0, 0), (0, 1, 0)) @ np.linalg.inv(pose)

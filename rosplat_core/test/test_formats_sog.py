@@ -108,6 +108,21 @@ def test_folder_meta_and_zip_are_one_scene(tmp_path: Path) -> None:
         np.testing.assert_array_equal(scene.sh, scenes[0].sh)
 
 
+@pytest.mark.parametrize("field", ["scales", "sh0", "shN"])
+def test_a_codebook_that_begins_with_null_is_mended(tmp_path: Path, field: str) -> None:
+    meta = write_scene(tmp_path)
+    picture = tmp_path / meta[field]["files"][0]
+    with Image.open(picture) as codes:
+        size = codes.size
+    Image.new("RGB", size).save(picture, lossless=True)  # the first value in all places
+    book = meta[field]["codebook"]
+    book[0] = None
+    (tmp_path / "meta.json").write_text(json.dumps(meta))
+    read = load(tmp_path)
+    numbers = {"scales": np.log(read.scales), "sh0": read.sh[:, 0], "shN": read.sh[:, 1:]}[field]
+    np.testing.assert_allclose(numbers, book[1] + (book[1] - book[255]) / 255, rtol=1e-6)
+
+
 def test_without_higher_bands(tmp_path: Path) -> None:
     meta = write_scene(tmp_path)
     del meta["shN"]
@@ -136,6 +151,7 @@ def test_reserved_quaternion_tags_drop_their_splats(tmp_path: Path) -> None:
         (["means", "mins"], [0, 0], r"means\.mins: expected 3"),
         (["means", "maxs"], [0, 0, None], r"means\.maxs: expected 3"),
         (["scales", "codebook"], [0.0] * 255, r"scales\.codebook: expected 256"),
+        (["sh0", "codebook"], [None, None, *[0.0] * 254], r"sh0\.codebook: expected 256"),
         (["sh0", "codebook"], "no", r"sh0\.codebook: expected 256"),
         (["quats"], {}, r"no field quats\.files"),
         (["means", "files"], ["means_l.webp"], r"means\.files has no file name at 1"),

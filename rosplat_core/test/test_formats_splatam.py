@@ -60,6 +60,13 @@ def test_other_archives_are_named(params: Params, tmp_path: Path) -> None:
     path.write_bytes(damaged)
     with pytest.raises(SceneError, match=r"params\.npz: damaged: .{1,200}$"):
         formats.load(path)
+    np.savez(path, **params)
+    encrypted = bytearray(path.read_bytes())
+    for head, flags in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        encrypted[encrypted.find(head) + flags] |= 1
+    path.write_bytes(encrypted)
+    with pytest.raises(SceneError, match=r"params\.npz: can't be unpacked: .*encrypted"):
+        formats.load(path)
     np.savez(path, means3D=params["means3D"])
     with pytest.raises(SceneError, match="no array rgb_colors"):
         formats.load(path)

@@ -132,6 +132,15 @@ def test_concatenate_keeps_world_positions_and_bands() -> None:
     assert not both.sh[:3, 1:].any()
 
 
+def test_concatenate_loses_nothing_of_a_far_part_behind_a_near_one() -> None:
+    far = splats(9, positions=np.random.default_rng(0).random((9, 3)), origin=[1e6, 0, 0])
+    both = concatenate([splats(1), far])
+    np.testing.assert_allclose(
+        both.positions[1:] + both.origin, far.positions + far.origin, atol=1e-6, rtol=0
+    )
+    np.testing.assert_array_equal(concatenate([far, far]).positions[9:], far.positions)
+
+
 def test_concatenate_refuses_mixed_filters() -> None:
     with pytest.raises(ValueError, match="antialiased"):
         concatenate([splats(1), splats(1, antialiased=True)])

@@ -81,7 +81,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
             raise SceneError(f"{path}: no element {name}")
     n = file.elements["vertex"].length
     claim(path, n, 0, size_of(path))
-    rows, chunks = file.rows("vertex"), file.rows("chunk")
+    rows, chunks = file.rows("vertex"), file.rows("chunk")[:]
     for name in PACKED:
         if name not in (rows.dtype.names or ()) or rows.dtype[name] != np.dtype("u4"):
             raise SceneError(f"{path}: no property uint {name} of element vertex")

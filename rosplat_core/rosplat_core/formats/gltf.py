@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from rosplat_core.formats.bounds import claim, refusing, size_of
 from rosplat_core.formats.decoded import Axes, Into, Made, Progress, Warn, blocks
+from rosplat_core.formats.file_rows import FileRows
 from rosplat_core.formats.placed import place
 from rosplat_core.formats.quantised import to_bytes
 from rosplat_core.harmonics import C0 as SH_C0
@@ -85,6 +86,15 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     with refusing(f"{path}: broken glTF"):
         asset = _Asset(path)
         return _splats(asset, list(asset.primitives()), progress, warn, into)
+
+
+def size(path: Path) -> int:
+    """Size of a file and of the buffers beside it that hold its splats. [bytes]"""
+    with refusing(f"{path}: broken glTF"):
+        asset = _Asset(path)
+        for _ in asset.primitives():  # which opens the buffers
+            pass
+        return asset.size
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
@@ -210,6 +220,32 @@ def _described(splats: Splats, columns: list[_Column], size: int) -> dict[str, A
 # --- Reading --------------------------------------------------------------------------------------
 
 
+class _Attribute(NamedTuple):
+    """(n, width) numbers in a buffer."""
+
+    buffer: NDArray[np.uint8] | FileRows
+    begin: int
+    """Of the first stride that holds numbers. [bytes]"""
+    skip: int
+    """Place of a splat's numbers in its stride. [bytes]"""
+    stride: int
+    shape: tuple[int, int]
+    dtype: np.dtype[Any]
+    divisor: float
+
+    def numbers(self, part: slice) -> NDArray[np.float32]:
+        """Those of the splats in a slice."""
+        count, width = part.stop - part.start, self.shape[1]
+        begin = self.begin + part.start * self.stride
+        # Whole strides: attributes that are interleaved share what is read.
+        last = max(self.stride, self.skip + width * self.dtype.itemsize)
+        held = self.buffer[begin : begin + (count - 1) * self.stride + last]
+        strides = self.stride, self.dtype.itemsize
+        stored: NDArray[Any] = np.ndarray((count, width), self.dtype, held, self.skip, strides)
+        numbers = stored.astype(np.float32)
+        return np.maximum(numbers / np.float32(self.divisor), -1) if self.divisor != 1 else numbers
+
+
 class _Primitive(NamedTuple):
     """Splats of a mesh, as the file has them, and the mesh's pose."""
 
@@ -217,17 +253,14 @@ class _Primitive(NamedTuple):
     """(4, 4), finite."""
     degree: int
     antialiased: bool
-    attributes: dict[str, tuple[NDArray[Any], float]]
-    """By name: (n, width) numbers in the file, and their divisor."""
+    attributes: dict[str, _Attribute]
 
     def __len__(self) -> int:
-        return len(self.attributes["POSITION"][0])
+        return self.attributes["POSITION"].shape[0]
 
     def numbers(self, name: str, part: slice) -> NDArray[np.float32]:
         """(n, width) numbers of an attribute, of the splats in a slice."""
-        values, divisor = self.attributes[name]
-        numbers = values[part].astype(np.float32)
-        return np.maximum(numbers / np.float32(divisor), -1) if divisor != 1 else numbers
+        return self.attributes[name].numbers(part)
 
 
 def _splats(
@@ -269,7 +302,7 @@ class _Asset:
         self.size = size_of(path)
         """Size of the file, and of the buffers beside it that were opened. [bytes]"""
         self.warnings: list[str] = []
-        self._buffers: dict[int, NDArray[np.uint8]] = {}
+        self._buffers: dict[int, NDArray[np.uint8] | FileRows] = {}
         with path.open("rb") as stream:
             binary = stream.read(4) == MAGIC
             stream.seek(0)
@@ -316,7 +349,7 @@ class _Asset:
         text = self._text(stream, self._chunk(stream, b"JSON", length))
         if stream.tell() + CHUNK.size <= length:
             held = self._chunk(stream, b"BIN\0", length)
-            self._buffers[0] = _mapped(self.path, stream.tell(), held)
+            self._buffers[0] = FileRows(self.path, np.uint8, stream.tell(), held)
         return text
 
     def _chunk(self, stream: BinaryIO, kind: bytes, end: int) -> int:
@@ -336,8 +369,8 @@ class _Asset:
             raise SceneError(f"{self.path}: {length:,} bytes of JSON, at most {LARGEST_JSON:,}")
         return stream.read(length)
 
-    def _buffer(self, index: int) -> NDArray[np.uint8]:
-        """A buffer's bytes."""
+    def _buffer(self, index: int) -> tuple[NDArray[np.uint8] | FileRows, int]:
+        """A buffer, and how many of its bytes count."""
         buffer = self._item("buffers", index)
         if index not in self._buffers:
             uri = buffer.get("uri")
@@ -351,9 +384,9 @@ class _Asset:
                 f"{self.path}: truncated: buffer {index} has {len(found):,} bytes, "
                 f"{length:,} expected"
             )
-        return found[:length]
+        return found, length
 
-    def _opened(self, uri: str) -> NDArray[np.uint8]:
+    def _opened(self, uri: str) -> NDArray[np.uint8] | FileRows:
         if uri.startswith("data:"):
             try:
                 data = base64.b64decode(uri.partition(";base64,")[2], validate=True)
@@ -369,7 +402,7 @@ class _Asset:
         try:
             size = size_of(beside)
             self.size += size
-            return _mapped(beside, 0, size)
+            return FileRows(beside, np.uint8, 0, size)
         except OSError as error:
             raise SceneError(f"{self.path}: {beside}: {error.strerror or error}") from error
 
@@ -443,7 +476,7 @@ class _Asset:
                     f"{self.path}: {name} is packed by {shown(packed)}, which isn't read"
                 )
             attributes[name] = self._accessor(name, accessors[name], kind)
-        counts = {len(values) for values, _ in attributes.values()}
+        counts = {attribute.shape[0] for attribute in attributes.values()}
         if len(counts) > 1:
             raise SceneError(f"{self.path}: attributes of different lengths: {sorted(counts)}")
         antialiased = told.get("extras", {}).get("antialiased") is True
@@ -460,8 +493,7 @@ class _Asset:
                 return degree
         return 0
 
-    def _accessor(self, name: str, index: int, kind: str) -> tuple[NDArray[Any], float]:
-        """(n, width) numbers of an attribute, a view of the file, and their divisor."""
+    def _accessor(self, name: str, index: int, kind: str) -> _Attribute:
         accessor = self._item("accessors", index)
         if "sparse" in accessor:
             raise SceneError(f"{self.path}: {name}: a sparse accessor isn't read")
@@ -482,14 +514,14 @@ class _Asset:
         within = self._whole(accessor, "byteOffset", 0, MAX_BYTES, 0)
         begin = self._whole(view, "byteOffset", 0, MAX_BYTES, 0)
         length = self._whole(view, "byteLength", 1, MAX_BYTES)
-        buffer = self._buffer(view["buffer"])
-        if within + stride * (count - 1) + element > min(length, len(buffer) - begin):
+        buffer, held = self._buffer(view["buffer"])
+        if within + stride * (count - 1) + element > min(length, held - begin):
             raise SceneError(f"{self.path}: truncated: {name} of {count:,} splats isn't all there")
-        values: NDArray[Any] = np.ndarray(
-            (count, width), dtype, buffer, begin + within, (stride, dtype.itemsize)
-        )
         normalized = accessor.get("normalized", False) is True and dtype.kind != "f"
-        return values, float(np.iinfo(dtype).max) if normalized else 1.0
+        divisor = float(np.iinfo(dtype).max) if normalized else 1.0
+        skip = within % stride
+        shape = count, width
+        return _Attribute(buffer, begin + within - skip, skip, stride, shape, dtype, divisor)
 
     def _item(self, kind: str, index: Any) -> Any:
         """An item of one of the JSON's lists."""
@@ -508,10 +540,3 @@ class _Asset:
                 f"{self.path}: {name} is {shown(repr(number))}, expected {least:,} to {most:,}"
             )
         return number
-
-
-def _mapped(path: Path, begin: int, length: int) -> NDArray[np.uint8]:
-    """Bytes of a file, mapped: they are read when they are used."""
-    if not length:
-        return np.empty(0, np.uint8)
-    return np.memmap(path, np.uint8, "r", begin, (length,))

@@ -32,6 +32,7 @@ from rosplat_core.formats.decoded import (
     Progress,
     Warn,
 )
+from rosplat_core.formats.file_rows import FileRows
 from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, sh_coefficients
 
@@ -89,7 +90,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     size = size_of(path)
     if size < HEADER.itemsize:
         raise SceneError(f"{path}: truncated: {size:,} of a header's {HEADER.itemsize:,} bytes")
-    data = np.memmap(path, np.uint8, "r")
+    data = FileRows(path, np.uint8, 0, size)
     header = data[: HEADER.itemsize].view(HEADER)[0]
     if (header["major"], header["minor"]) != VERSION:
         version = f"{header['major']}.{header['minor']}"
@@ -110,8 +111,8 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
         positions, orientations, scales, opacities, sh = columns
         section, centre = sections[source], centres[source]
         layout = _layout(level, int(section.header["degree"]))
-        end = section.splats + counts[source] * layout.itemsize
-        block = data[section.splats : end].view(layout)[part]
+        begin, end = (section.splats + i * layout.itemsize for i in (part.start, part.stop))
+        block = data[begin:end].view(layout)
         positions[:] = block["position"]
         if centre is not None:
             steps = int(section.header["steps"]) or STEPS
@@ -130,7 +131,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     return into.made(path, warn)
 
 
-def _sections(path: Path, data: NDArray[np.uint8], header: np.void) -> list[Section]:
+def _sections(path: Path, data: FileRows, header: np.void) -> list[Section]:
     """The sections, each of which lies within the file."""
     first = HEADER.itemsize
     place = first + int(header["sections"]) * SECTION.itemsize
@@ -168,7 +169,7 @@ def _layout(level: int, degree: int) -> np.dtype[Any]:
 
 
 def _centres(
-    path: Path, data: NDArray[np.uint8], section: Section, level: int
+    path: Path, data: FileRows, section: Section, level: int
 ) -> NDArray[np.float32] | None:
     """(splats, 3) centre of each splat's bucket, where positions are offsets from it."""
     if level == 0:

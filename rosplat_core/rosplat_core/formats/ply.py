@@ -7,7 +7,6 @@ Further properties are channels, a trainer's label say.
 
 from __future__ import annotations
 
-from mmap import MADV_DONTNEED, mmap
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -29,7 +28,7 @@ from rosplat_core.formats.decoded import (
     blocks,
     share,
 )
-from rosplat_core.formats.ply_file import PlyFile, header
+from rosplat_core.formats.ply_file import PlyFile, Rows, header
 from rosplat_core.formats.quantised import sigmoid
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
@@ -81,7 +80,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
 
 def from_rows(
     path: Path,
-    rows: NDArray[np.void],
+    rows: Rows,
     progress: Progress,
     warn: Warn,
     into: Into[Made],
@@ -118,8 +117,6 @@ def from_rows(
         with np.errstate(over="ignore"):  # infinite: no value
             for name, values in channels.items():
                 values[part] = block[name]
-        if isinstance(rows.base, mmap):  # else pages that were read stay in this process's memory
-            rows.base.madvise(MADV_DONTNEED)
     return into.made(path, warn, bool(filters) or antialiased, channels)
 
 
@@ -166,7 +163,7 @@ def _has_meaning(name: str) -> bool:
     return name in known or name.startswith("f_rest_")
 
 
-def _channels(path: Path, rows: NDArray[np.void], warn: Warn) -> dict[str, Floats]:
+def _channels(path: Path, rows: Rows, warn: Warn) -> dict[str, Floats]:
     """Room (n,) for each channel: the first properties without a meaning, MOST_CHANNELS at most."""
     further = [name for name in rows.dtype.names or () if not _has_meaning(name)]
     kept = [name for name in further if is_name(name)][:MOST_CHANNELS]
@@ -186,7 +183,7 @@ def antialiased(comments: list[str]) -> bool:
     return found
 
 
-def rest_names(path: Path, rows: NDArray[np.void]) -> list[str]:
+def rest_names(path: Path, rows: Rows) -> list[str]:
     """Names of the f_rest properties in order of their number. Raises SceneError for a gap."""
     count = sum(name.startswith("f_rest_") for name in rows.dtype.names or ())
     counts = [3 * (sh_coefficients(degree) - 1) for degree in range(MAX_SH_DEGREE + 1)]
@@ -197,7 +194,7 @@ def rest_names(path: Path, rows: NDArray[np.void]) -> list[str]:
     return names
 
 
-def _require_numbers(path: Path, rows: NDArray[np.void], names: list[str]) -> None:
+def _require_numbers(path: Path, rows: Rows, names: list[str]) -> None:
     have = rows.dtype.names or ()
     missing = [name for name in names if name not in have]
     if missing:

@@ -1,7 +1,7 @@
 """The PLY container (Turk 1994): a header in text names elements, tables of rows of properties.
 
-Rows are mapped from the file where it is binary, and parsed where it is text. Properties that are
-lists have no place in a map; an element with any is skipped, where it can be.
+Binary rows are read as they are wanted, text is parsed at once. Properties that are lists have no
+place in a map; an element with any is skipped, where it can be.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rosplat_core.formats.bounds import size_of
 from rosplat_core.formats.decoded import Progress
+from rosplat_core.formats.file_rows import FileRows
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 
@@ -29,6 +30,9 @@ TYPES = {
     "float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
 }  # fmt: skip
+
+
+Rows = NDArray[np.void] | FileRows
 
 
 class Element(NamedTuple):
@@ -64,7 +68,7 @@ class PlyFile:
         self._lines = len(lines) - 1
         self._check_size(size)
 
-    def rows(self, name: str, progress: Progress = lambda fraction: None) -> NDArray[np.void]:
+    def rows(self, name: str, progress: Progress = lambda fraction: None) -> Rows:
         """The rows of an element without lists, as the header lays them out.
 
         progress is called with 0 to 1 while text is parsed; what it raises ends that.
@@ -81,7 +85,7 @@ class PlyFile:
         if any(other.lists for other in before):
             raise SceneError(f"{self.path}: an element with lists before element {name}")
         offset = self._begin + sum(other.length * other.dtype.itemsize for other in before)
-        return np.memmap(self.path, element.dtype, "r", offset, (element.length,))
+        return FileRows(self.path, element.dtype, offset, element.length)
 
     def _parse(self, lines: list[str]) -> None:
         order = ""

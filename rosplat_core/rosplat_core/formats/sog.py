@@ -473,6 +473,9 @@ class _Reader:
             if isinstance(error, SceneError):
                 raise
             values = np.empty(0)
+        if name == "codebook" and values.shape == (count,) and np.isnan(values[0]):
+            # Some writers leave null there; PlayCanvas's engine mends it so.
+            values[0] = values[1] + (values[1] - values[-1]) / (count - 1)
         if values.shape != (count,) or not np.isfinite(values).all():
             raise SceneError(f"{self._path}: {field}.{name}: expected {count} finite numbers")
         return values

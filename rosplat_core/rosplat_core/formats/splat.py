@@ -26,6 +26,7 @@ from rosplat_core.formats.decoded import (
     Warn,
     blocks,
 )
+from rosplat_core.formats.file_rows import FileRows
 from rosplat_core.formats.quantised import to_bytes
 from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.splats import SceneError, Splats
@@ -55,19 +56,17 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     if rest:
         raise SceneError(f"{path}: {size:,} bytes are no whole number of splats, 32 bytes each")
     claim(path, n, size, size)
-    with path.open("rb") as stream:
-        for part, columns in into.blocks(n, 1, progress):
-            positions, orientations, scales, opacities, sh = columns
-            rows = np.fromfile(stream, RECORD, part.stop - part.start)
-            if len(rows) < part.stop - part.start:
-                raise SceneError(f"{path}: became shorter while it was read")
-            positions[:] = rows["position"]
-            scales[:] = rows["scale"]
-            rgba = rows["rgba"] / np.float32(255)
-            opacities[:] = rgba[:, 3]
-            sh[:, 0] = (rgba[:, :3] - 0.5) / SH_C0
-            wxyz = rows["rotation"] / np.float32(128) - 1
-            orientations[:] = np.roll(wxyz, -1, axis=1)
+    rows = FileRows(path, RECORD, 0, n)
+    for part, columns in into.blocks(n, 1, progress):
+        positions, orientations, scales, opacities, sh = columns
+        block = rows[part]
+        positions[:] = block["position"]
+        scales[:] = block["scale"]
+        rgba = block["rgba"] / np.float32(255)
+        opacities[:] = rgba[:, 3]
+        sh[:, 0] = (rgba[:, :3] - 0.5) / SH_C0
+        wxyz = block["rotation"] / np.float32(128) - 1
+        orientations[:] = np.roll(wxyz, -1, axis=1)
     return into.made(path, warn)
 
 

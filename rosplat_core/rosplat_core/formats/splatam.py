@@ -49,8 +49,10 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
             for name in SHAPES:
                 arrays[name] = _array(path, archive, name)
                 progress(len(arrays) / (len(SHAPES) + 1))
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
         raise SceneError(f"{path}: damaged: {shown(error)}") from error
+    except RuntimeError as error:  # it is encrypted, or packed in a way that zipfile lacks
+        raise SceneError(f"{path}: can't be unpacked: {shown(error)}") from error
     counts = {name: len(array) for name, array in arrays.items()}
     if len(set(counts.values())) > 1:
         raise SceneError(f"{path}: arrays of different lengths: {counts}")
