@@ -50,6 +50,10 @@ class _AtWork:
         self._spoilt = 0  # sum of the LOSSES at the last report
         self.wanted = time.monotonic()  # when a view last wanted an order
 
+    def lose(self) -> None:
+        """Pulls all of the map again, after a while."""
+        self._map.lose()
+
     def report(self) -> Report:
         """Warns of a backlog, a map that isn't whole, and of losses since the last report."""
         figures = self.worker.figures()
@@ -167,6 +171,10 @@ class SorterNode(Node):
         if self._may_say(subject):
             self.get_logger().warning(text)
 
+    def lose(self) -> None:
+        if self._at_work:
+            self._at_work.lose()
+
     def _may_say(self, subject: str) -> bool:
         now = time.monotonic()
         silent = now - self._said.get(subject, -THROTTLE) < THROTTLE
@@ -218,7 +226,11 @@ def main() -> None:
     # ROS's own handlers end it: a KeyboardInterrupt could come in the middle of an import.
     signal.signal(signal.SIGINT, lambda *_: None)
     try:
-        rclpy.init()
+        try:
+            rclpy.init()
+        except RuntimeError as error:  # of ROS_DOMAIN_ID, say
+            print(f"sorter: {error}", file=sys.stderr)
+            sys.exit(1)
         # The executor first: if ROS has ended, rclpy (up to Jazzy) prints a traceback for one.
         executor = SingleThreadedExecutor()
         node = SorterNode()

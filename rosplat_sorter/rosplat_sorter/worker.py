@@ -76,6 +76,11 @@ class Host(Protocol):
 
     def warn(self, subject: str, text: str) -> None: ...
 
+    def lose(self) -> None:
+        """Has all of the map come again: there was no memory for a batch, and those that waited
+        behind it are dropped.
+        """
+
 
 @dataclass
 class _Inbox:
@@ -87,10 +92,14 @@ class _Inbox:
     def edit(self, batch: GaussianArray, arrival: Arrival) -> None:
         """Keeps a batch; forgets those that it replaces."""
         if batch.operation == REPLACE:
-            self.batch_bytes -= sum(array_bytes(replaced) for replaced, _ in self.batches)
-            self.batches.clear()
+            self.forget()
         self.batches.append((batch, arrival))
         self.batch_bytes += array_bytes(batch)
+
+    def forget(self) -> None:
+        """Drops all batches but the one that is being applied."""
+        self.batch_bytes -= sum(array_bytes(batch) for batch, _ in self.batches)
+        self.batches.clear()
 
     def look(self, message: ViewCamera) -> None:
         """Keeps a camera, the newest of each view, and of no more views than are answered."""
@@ -288,6 +297,10 @@ class Worker:
                 f"{shown(error, MOST_SHOWN) or 'out of memory'} "
                 f"({self._dropped_batches} dropped so far)",
             )
+            if isinstance(error, MemoryError):
+                with self._wake:
+                    self._inbox.forget()
+                self._host.lose()
             return
         self._batches += 1
         self._applied = time.monotonic()

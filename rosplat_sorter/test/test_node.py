@@ -289,6 +289,17 @@ def test_a_parameter_that_makes_no_sense_is_one_line_and_code_1(parameter, reaso
     assert reason in line
 
 
+def test_where_ros_can_t_begin_a_line_says_why():
+    ended = subprocess.run(
+        [EXECUTABLE], timeout=PATIENCE, check=False, capture_output=True, text=True,
+        env=os.environ | {"ROS_DOMAIN_ID": "abc"},
+    )  # fmt: skip
+    assert ended.returncode == 1
+    (line,) = ended.stderr.splitlines()
+    assert line.startswith("sorter: ")
+    assert "ROS_DOMAIN_ID is not an integral number" in line
+
+
 @pytest.mark.parametrize("malformed", [("-p", "backend"), ("-r", "a"), ("--no-such-option",)])
 def test_malformed_ros_arguments_are_a_matter_of_usage(malformed):
     command = [EXECUTABLE, "--ros-args", *malformed]

@@ -15,6 +15,7 @@ from rosplat_sorter import backends
 from rosplat_sorter.backends import BACKENDS, Entry
 from rosplat_sorter.backends.native_backend import NativeBackend
 from rosplat_sorter.backends.numpy_backend import NumpyBackend
+from rosplat_sorter.map import SplatMap
 from rosplat_sorter.order_slots import OrderReader
 from rosplat_sorter.shared_orders import FOLDER
 from rosplat_sorter.worker import FORGET_AFTER, MAX_VIEWS, Worker
@@ -42,6 +43,9 @@ class Recorder:
 
     def warn(self, subject, text):
         self.inform(subject, text)
+
+    def lose(self):
+        self.inform("lost", "all is to come again")
 
     def wait(self, condition):
         with self._told:
@@ -388,6 +392,26 @@ def test_what_replaces_a_backend_may_fail_too(start, make_batch, make_look, monk
     assert (answer.backend, list(answer.slots)) == ("numpy", [2, 1, 7, 0])
     host.said("backend 'broken' failed: CUDA out of memory")
     host.said("backend 'native' failed: MemoryError")
+
+
+def test_without_memory_for_a_batch_the_map_comes_again(start, make_batch, monkeypatch):
+    take, taken = SplatMap.take, []
+
+    def short(self, batch, arrival):
+        taken.append(batch.revision)
+        if batch.revision == 2:
+            raise MemoryError
+        return take(self, batch, arrival)
+
+    monkeypatch.setattr(SplatMap, "take", short)
+    worker, host = start()
+    with worker._wake:
+        for revision in (1, 2, 3):
+            worker.edit(make_batch(revision=revision, operation=min(revision - 1, 1)))
+    host.said("all is to come again")
+    host.said("batch 2 of map 'map' dropped: out of memory")
+    assert taken == [1, 2]  # what waited behind it is dropped
+    host.wait(lambda: worker.figures()["Backlog (bytes)"] == 0)
 
 
 def test_a_backend_that_can_t_take_the_map_is_never_used(start, make_batch, make_look):

@@ -1,27 +1,57 @@
-"""Poses of frames, from TF."""
+"""Poses of frames, from TF and for it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
-from geometry_msgs.msg import Point, Pose, TransformStamped
+from geometry_msgs.msg import Point, Pose, Transform, TransformStamped, Vector3
 from numpy.typing import NDArray
-from rclpy.clock import JumpThreshold
+from rclpy.clock import JumpHandle, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.time import Time
+from std_msgs.msg import Header
 
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 from rosplat_tools.poses import to_matrix, to_pose
 
-# The wheels of PyPI lack tf2_ros.
+# Some wheels of PyPI lack these.
 try:
     import tf2_ros
 except ImportError:
     tf2_ros = None
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:
+    TFMessage = None
+
+TF = QoSProfile(depth=100)  # of publishers, as tf2_ros has it
 
 LATEST = 0  # asks for the last pose; also the time of a pose that never changes [ns]
 KEEPS = 10.0  # how far back poses are kept [s]
+
+
+def transform(header: Header, child: str, pose: Pose) -> TransformStamped:
+    """Where a child's frame is in the header's frame."""
+    place = pose.position
+    return TransformStamped(
+        header=header,
+        child_frame_id=child,
+        transform=Transform(
+            translation=Vector3(x=place.x, y=place.y, z=place.z), rotation=pose.orientation
+        ),
+    )
+
+
+def on_restart(node: Node, forget: Callable[[], None]) -> JumpHandle:
+    """Calls forget whenever a node's clock goes back or becomes another, while the result lives."""
+    back = JumpThreshold(
+        min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
+    )
+    return node.get_clock().create_jump_callback(back, post_callback=lambda _: forget())
 
 
 class FrameError(LookupError):
@@ -39,12 +69,7 @@ class Frames:
         if node:
             self._listener = tf2_ros.TransformListener(self._buffer, node)
             # A buffer without a node doesn't see it, and refuses what is older than it keeps.
-            back = JumpThreshold(
-                min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
-            )
-            self._jumps = node.get_clock().create_jump_callback(
-                back, post_callback=lambda _: self._buffer.clear()
-            )
+            self._jumps = on_restart(node, self._buffer.clear)
 
     def take(self, transform: TransformStamped, static: bool) -> None:
         """Adds a transform; a static one holds at all times."""

@@ -59,5 +59,6 @@ def read_mask(path: str) -> NDArray[np.bool_]:
     try:
         with Picture.open(Path(path)) as picture:
             return np.asarray(picture.convert("L")) > 0
-    except OSError as error:
-        raise SceneError(f"mask {shown(path)}: {error.strerror or 'no picture'}") from error
+    except (OSError, SyntaxError, ValueError, Picture.DecompressionBombError) as error:
+        reason = getattr(error, "strerror", None) or "no picture, or too large a one"
+        raise SceneError(f"mask {shown(path)}: {reason}") from error

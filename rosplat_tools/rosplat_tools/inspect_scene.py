@@ -10,7 +10,7 @@ import numpy as np
 
 from rosplat_core.cameras import UP, orbit, place
 from rosplat_core.depth import LEAST_ALPHA
-from rosplat_core.formats import SceneError, axes, format_of, streamed_sog
+from rosplat_core.formats import SceneError, axes, format_of, gltf, streamed_sog
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
 from rosplat_core.rendering import MOST_PSNR, CpuRenderer, posed
@@ -102,7 +102,9 @@ def order_costs(splats: Splats, up: tuple[float, float, float]) -> list[float]:
 
 
 def _file_size(path: Path) -> int:
-    """Size of a file, or of the files of the scene's folders. [bytes]"""
+    """Size of a scene's file, or of all of its files. [bytes]"""
+    if format_of(path) is gltf:
+        return gltf.size(path)
     if format_of(path) is streamed_sog:
         scene = streamed_sog.open_streamed(path)
         return scene.path.stat().st_size + sum(map(_file_size, scene.files))

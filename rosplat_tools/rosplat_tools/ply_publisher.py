@@ -112,11 +112,11 @@ class PlyPublisher(Node):
                 self._go_on(answer)
                 drawn.update(count)
 
-            self._up = up
             try:
                 self._map.replace(splats, progress=published)
             except MemoryError as error:
                 raise SceneError(f"{path}: too large for this machine's memory") from error
+            self._up = up
         text = (
             f"{path}: {len(splats):,} splats, SH degree {splats.sh_degree}, "
             f"loaded and sent in {time.monotonic() - start:.1f} s"

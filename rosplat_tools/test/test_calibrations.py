@@ -61,7 +61,9 @@ def test_a_file_of_camera_calibration_is_read(tmp_path: Path) -> None:
         ("[430.2, 0, ", "[430.2, ", "camera_matrix: 8 numbers, expected 9"),
         ("430.2", "-1", "k: focal lengths are -1.0, 431.0"),
         ("camera_matrix:", "camera_matrix: 3\nx:", "camera_matrix: no data, or not of numbers"),
+        ("430.2", "9" * 400, "camera_matrix: a number beyond 64 bits"),
         (FILE, "[1, 2", "no YAML: "),
+        (FILE, "9" * 5000, "no YAML: "),
         (FILE, "7", "expected keys and values"),
     ],
 )

@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ from rosplat_core.splats import Splats
 from rosplat_testing.bags import needs_bags, record
 from rosplat_tools.cameras import compare_bag
 from rosplat_tools.cameras.calibrations import of_lens
+from rosplat_tools.cameras.pose_history import SECOND, PoseHistory
+from rosplat_tools.cameras.taken_pictures import PictureReader
 from rosplat_tools.images import to_bytes, to_image
 from rosplat_tools.map_publisher import as_message
 from rosplat_tools.poses import to_pose
@@ -129,6 +132,21 @@ def test_what_a_bag_lacks_is_said_in_a_line(
     assert code == 1
     assert "left out 1 pictures: 1.000 s before all poses that are known" in error
     assert "no picture could be compared" in error
+
+
+def test_pictures_left_out_count_by_the_words_of_the_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    poses, images = PoseHistory(), [Image() for _ in range(3)]
+    poses.add(SECOND, np.eye(4))
+    for second, image in enumerate(images, 3):
+        image.header.stamp.sec = second
+    monkeypatch.setattr(compare_bag.bags, "messages", lambda *_: [("", each) for each in images])
+    bag: Any = SimpleNamespace(
+        path="", image="", info=None, pose=lambda image: poses.at(image.header.stamp.sec * SECOND)
+    )
+    _, left_out = compare_bag.compare_all(bag, PictureReader(Warp))
+    assert left_out == {"2.000 s after all poses that are known": 3}
 
 
 @needs_bags

@@ -312,7 +312,8 @@ def test_without_a_renderer_there_is_a_picture_and_the_map_is_circled(
     node.create_subscription(PoseStamped, "camera/pose", poses.append, KEEP_ALL)
     splats = random_splats(5000, 0)
     far = Splats(**(vars(splats) | {"origin": np.array([100.0, 50.0, 3.0])}))
-    MapPublisher(node, frame_id="odom").replace(far)
+    # A map that never gets whole is flown around after a while.
+    MapPublisher(node, frame_id="odom").replace(far, expected_slots=6000)
     with sensors(node, "period:=2.0"):
         until(spin_some, lambda: len(pictures) > 3 and len(poses) > 25)
     assert {pose.header.frame_id for pose in poses} == {"odom"}

@@ -1,5 +1,6 @@
 """What inspect says about a scene is what is in it."""
 
+import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -66,6 +67,18 @@ def test_a_generated_scene(name: str) -> None:
 def test_axes_that_a_format_fixes(random_splats: Make, tmp_path: Path) -> None:
     save(tmp_path / "a.spz", random_splats(3))
     assert rows(describe(tmp_path / "a.spz"))["axes"] == "x right, y up, z back (by SPZ's rule)"
+
+
+def test_buffers_beside_a_scene_count(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.glb", random_splats(20))
+    binary = (tmp_path / "a.glb").read_bytes()
+    begin = 20 + int.from_bytes(binary[12:16], "little")
+    asset = json.loads(binary[20:begin])
+    asset["buffers"][0]["uri"] = "a.bin"
+    (tmp_path / "a.bin").write_bytes(binary[begin + 8 :])
+    (tmp_path / "a.gltf").write_text(json.dumps(asset))
+    size = sum((tmp_path / name).stat().st_size for name in ("a.bin", "a.gltf"))
+    assert rows(describe(tmp_path / "a.gltf"))["format"] == f"glTF, {size / 1000:.3g} kB"
 
 
 def test_what_a_format_s_rule_of_drawing_changes(random_splats: Make, tmp_path: Path) -> None:

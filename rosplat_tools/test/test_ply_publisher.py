@@ -18,7 +18,7 @@ from rclpy.node import Node
 
 from rosplat_core import formats
 from rosplat_core.slot_order import put_in_slot_order
-from rosplat_core.splats import Splats
+from rosplat_core.splats import SceneError, Splats
 from rosplat_msgs.srv import LoadScene, PullMap, SaveMap
 from rosplat_testing import PATIENCE
 from rosplat_tools.ply_publisher import THREADS, PlyPublisher
@@ -244,3 +244,24 @@ def test_whatever_loading_raises_is_an_answer(
     (line,) = capfd.readouterr().err.splitlines()
     assert "the map stays" in line
     assert len(line) < 1000
+
+
+def test_a_map_that_stays_keeps_its_vertical(
+    random_splats: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    formats.save(tmp_path / "a.glb", random_splats(7))
+    rclpy.init()
+    try:
+        publisher = PlyPublisher()
+        publisher.load(str(tmp_path / "a.glb"))
+
+        def fail(*_: object, **__: object) -> None:
+            raise MemoryError
+
+        monkeypatch.setattr(publisher._map, "replace", fail)
+        with pytest.raises(SceneError, match="memory"):
+            publisher.load("procedural:10")
+        assert publisher._up == (0, 1, 0)
+        publisher.destroy_node()
+    finally:
+        rclpy.shutdown()

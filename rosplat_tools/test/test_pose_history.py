@@ -34,20 +34,21 @@ def test_times_outside_of_what_is_known_are_refused() -> None:
     with pytest.raises(PoseError, match="no pose has come yet"):
         history.newest()
     history.add(3 * SECOND, pose(3, 30))
-    history.add(1 * SECOND, pose(1, 10))  # late
+    history.add(2 * SECOND, pose(2, 20))  # late
     assert history.newest()[0] == 3 * SECOND
-    np.testing.assert_allclose(history.at(2 * SECOND), pose(2, 20), atol=1e-12)
-    np.testing.assert_array_equal(history.at(SECOND), pose(1, 10))
+    np.testing.assert_allclose(history.at(SECOND * 5 // 2), pose(2.5, 25), atol=1e-12)
+    np.testing.assert_array_equal(history.at(2 * SECOND), pose(2, 20))
     with pytest.raises(PoseError, match=r"^0\.500 s after all poses"):
         history.at(SECOND * 7 // 2)
     with pytest.raises(PoseError, match=r"^0\.250 s before all poses"):
-        history.at(SECOND * 3 // 4)
+        history.at(SECOND * 7 // 4)
 
 
 def test_a_pose_without_a_time_holds_until_the_next() -> None:
     history = PoseHistory()
     history.add(5 * SECOND, pose(5))
     history.add(0, pose(7))
+    history.clear()
     np.testing.assert_array_equal(history.at(99 * SECOND), pose(7))
     history.add(6 * SECOND, pose(6))
     assert history.newest()[0] == 6 * SECOND
@@ -56,10 +57,17 @@ def test_a_pose_without_a_time_holds_until_the_next() -> None:
 
 
 def test_poses_are_forgotten_by_age_and_when_time_begins_again() -> None:
-    history = PoseHistory(keeps=1.0)
+    history = PoseHistory(keeps=1.5)
     for second in range(100, 103):
         history.add(second * SECOND, pose(second))
     with pytest.raises(PoseError):
         history.at(100 * SECOND)
-    history.add(1 * SECOND, pose(1))
-    assert history.newest()[0] == SECOND
+    history.add(100 * SECOND, pose(1))  # 2 s back: a bag in a loop
+    assert history.newest()[0] == 100 * SECOND
+    history.clear()
+    with pytest.raises(PoseError, match="no pose has come yet"):
+        history.newest()
+    longer = PoseHistory(keeps=100.0, restarts=100.0)
+    for second in (102, 100):
+        longer.add(second * SECOND, pose(second))
+    np.testing.assert_allclose(longer.at(101 * SECOND), pose(101))

@@ -1,5 +1,6 @@
 """How nodes begin and end."""
 
+import os
 import subprocess
 import sys
 
@@ -64,3 +65,14 @@ def test_an_argument_that_ros_can_t_hold_is_a_matter_of_usage() -> None:
     run = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert run.returncode == 2
     assert run.stderr.splitlines()[-1].endswith(r"--ros-args: 'path:=\udcff.ply' is not UTF-8")
+
+
+def test_where_ros_can_t_begin_a_line_says_why() -> None:
+    code = "from rosplat_tools.commands import follow; follow()"
+    command, environment = [sys.executable, "-c", code], os.environ | {"ROS_DOMAIN_ID": "abc"}
+    run = subprocess.run(
+        command, capture_output=True, text=True, timeout=PATIENCE, check=False, env=environment
+    )
+    assert run.returncode == 1
+    (line,) = run.stderr.splitlines()
+    assert line.startswith("follow: ") and "ROS_DOMAIN_ID is not an integral number" in line

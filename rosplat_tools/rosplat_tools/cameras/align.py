@@ -12,13 +12,7 @@ import time
 from collections import deque
 from dataclasses import dataclass, field
 
-from geometry_msgs.msg import (
-    PoseWithCovariance,
-    PoseWithCovarianceStamped,
-    Transform,
-    TransformStamped,
-    Vector3,
-)
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -35,18 +29,12 @@ from rosplat_tools.cameras.health import NoPicture
 from rosplat_tools.cameras.pose_history import SECOND, Pose
 from rosplat_tools.cameras.refining import Refined, refined
 from rosplat_tools.cameras.taken_pictures import Taken, TakenPictures
+from rosplat_tools.frames import TF, TFMessage, transform
 from rosplat_tools.poses import to_matrix, to_pose
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run_node
 
-# Some wheels of PyPI lack tf2_msgs.
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:
-    TFMessage = None
-
 POSES = QoSProfile(depth=5)
-TF = QoSProfile(depth=100)
 THREADS = 2  # of callbacks
 POLL = 0.005  # longest time between two looks at TF [s]
 
@@ -120,7 +108,7 @@ class AlignNode(Node):
         pose = found.in_map()
         self._aligned.publish(PoseWithCovarianceStamped(header=header, pose=pose))
         if self._tf:
-            self._tf.publish(TFMessage(transforms=[_transform(header, self._child, pose)]))
+            self._tf.publish(TFMessage(transforms=[transform(header, self._child, pose.pose)]))
         latency = (self.get_clock().now().nanoseconds - taken.stamp) / SECOND
         self._health.well(latency, time.perf_counter() - began)
         self._health.figures = found.figures()
@@ -178,17 +166,6 @@ class AlignNode(Node):
         if image is None:
             raise NoPicture("without a picture", "no picture has come on image_raw")
         return self._pictures.read(image, start)
-
-
-def _transform(header: Header, child: str, pose: PoseWithCovariance) -> TransformStamped:
-    place = pose.pose.position
-    return TransformStamped(
-        header=header,
-        child_frame_id=child,
-        transform=Transform(
-            translation=Vector3(x=place.x, y=place.y, z=place.z), rotation=pose.pose.orientation
-        ),
-    )
 
 
 def main() -> None:

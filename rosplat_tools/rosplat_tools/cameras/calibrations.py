@@ -80,7 +80,7 @@ def load(path: str) -> CameraInfo:
         content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise SceneError(f"{shown(path)}: {error.strerror or error}") from error
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
+    except (ValueError, yaml.YAMLError) as error:  # of UTF-8, of a date, of too many digits
         raise SceneError(f"{shown(path)}: no YAML: {shown(error, 200)}") from error
     try:
         info = _read(content)
@@ -118,4 +118,7 @@ def _numbers(matrix: Any, key: str, count: int | None) -> list[float]:
         raise LensError(f"{key}: no data, or not of numbers")
     if count is not None and len(data) != count:
         raise LensError(f"{key}: {len(data)} numbers, expected {count}")
-    return [float(value) for value in data]
+    try:
+        return [float(value) for value in data]
+    except OverflowError as error:
+        raise LensError(f"{key}: a number beyond 64 bits") from error

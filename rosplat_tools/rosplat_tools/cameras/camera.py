@@ -59,7 +59,8 @@ class CameraNode(Node):
         )
         near, far = declare_clip(self)
         depth = declare(self, "depth", DEPTHS[0], "Which depth: " + ", ".join(DEPTHS))
-        if len(set(names)) < len(names) or not all(name.isidentifier() for name in names):
+        wellformed = all(name.isidentifier() and name.isascii() for name in names)
+        if len(set(names)) < len(names) or not wellformed:
             raise SceneError(f"parameter cameras: expected names, each once, got {names}")
         if depth not in DEPTHS:
             known = ", ".join(DEPTHS)
@@ -114,6 +115,7 @@ class _Camera:
         self._fault = ""  # why there is no warp
         self._warped: CameraInfo | None = None  # that the warp was made for
         self._last = self._due = 0  # of the last picture, of the next at the earliest [ns]
+        self._now = 0  # by the node's clock, when it was last looked at [ns]
         self._looked = time.monotonic()
         self._rests_until = 0.0  # after trouble, which is thus counted once a period
 
@@ -175,9 +177,9 @@ class _Camera:
             stamp, pose = self._poses.newest(self._name, self._frame_id, self._map.frame_id)
         except PoseError as error:
             raise NoPicture("without a pose", error) from error
-        now = self._node.get_clock().now().nanoseconds
-        stamp = now if stamp == LATEST else stamp
-        if stamp < self._last - SECOND:  # simulated time has begun again
+        before, self._now = self._now, self._node.get_clock().now().nanoseconds
+        stamp = self._now if stamp == LATEST else stamp
+        if self._now < before or stamp < self._last - SECOND:  # a run has begun again
             self._last = self._due = 0
         if stamp <= self._last or stamp < self._due:
             return

@@ -25,11 +25,13 @@ from rosplat_sorter.batches import apply
 from rosplat_tools import bags
 from rosplat_tools.cameras.comparer import compare
 from rosplat_tools.cameras.health import NoPicture
-from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError, PoseHistory
+from rosplat_tools.cameras.pose_history import Pose, PoseError, PoseHistory
+from rosplat_tools.cameras.poses import nanoseconds
 from rosplat_tools.cameras.taken_pictures import PictureReader
 from rosplat_tools.frames import FrameError, Frames
 from rosplat_tools.images import read_mask
 from rosplat_tools.poses import to_matrix, to_pose
+from rosplat_tools.program.said_once import words_of
 
 ALWAYS = 1e9  # how far back poses are kept [s]
 TF, TF_STATIC = "/tf", "/tf_static"
@@ -56,7 +58,7 @@ class Bag:
         self._frame: str = options.frame
         self.info: CameraInfo | None = None
         self.renderer = CpuRenderer()
-        self._poses = PoseHistory(ALWAYS)
+        self._poses = PoseHistory(ALWAYS, ALWAYS)
         self._tf = None if self._pose else self._transforms()
         self._read()
         if options.scene:
@@ -113,31 +115,33 @@ class Bag:
                 self._tf.take(transform, topic == TF_STATIC)
         else:
             try:
-                self._poses.add(_stamp(message), to_matrix(to_pose(message.pose)))
+                self._poses.add(nanoseconds(message.header.stamp), to_matrix(to_pose(message.pose)))
             except ValueError as error:
                 raise SceneError(f"{shown(self.path)}: {topic}: {error}") from error
 
     def pose(self, image: Image) -> Pose:
         """Where a picture was taken. Raises FrameError or PoseError."""
         if self._tf:
-            return self._tf.pose(image.header.frame_id, self._frame, _stamp(image))[1]
-        return self._poses.at(_stamp(image))
+            return self._tf.pose(
+                image.header.frame_id, self._frame, nanoseconds(image.header.stamp)
+            )[1]
+        return self._poses.at(nanoseconds(image.header.stamp))
 
 
 def _counted(what: str) -> tqdm[None]:
     return tqdm(desc=what, unit="", disable=None, leave=False)
 
 
-def _stamp(message: Any) -> int:
-    return int(message.header.stamp.sec * SECOND + message.header.stamp.nanosec)
-
-
 def compare_all(
     bag: Bag, reader: PictureReader[Warp]
 ) -> tuple[list[Comparison], Mapping[str, int]]:
-    """Figures of all pictures that can be compared, and how many can't be, by reason."""
+    """Figures of all pictures that can be compared, and how many can't be, by reason.
+
+    Reasons of the same words, whatever their numbers, are one: the first that came up.
+    """
     figures: list[Comparison] = []
     left_out: Counter[str] = Counter()
+    reasons: dict[str, str] = {}  # by their words
     with _counted("comparing pictures") as drawn:
         for _, image in bags.messages(bag.path, {bag.image: Image}):
             drawn.update()
@@ -145,7 +149,8 @@ def compare_all(
                 taken = reader.read(image, bag.info, bag.pose(image))
                 figures.append(compare(bag.renderer, taken, taken.optics).figures)
             except (NoPicture, FrameError, PoseError) as error:
-                left_out[shown(error, 200)] += 1
+                reason = shown(error, 200)
+                left_out[reasons.setdefault(words_of(reason), reason)] += 1
     return figures, left_out
 
 
@@ -186,7 +191,8 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     for reason, count in left_out.items():
-        print(f"compare: left out {count} pictures: {reason}", file=sys.stderr)
+        first = ", the first" if count > 1 else ""
+        print(f"compare: left out {count} pictures{first}: {reason}", file=sys.stderr)
     if not figures:
         print(f"compare: {shown(options.bag)}: no picture could be compared", file=sys.stderr)
         return 1

@@ -22,14 +22,16 @@ class PoseError(LookupError):
 class PoseHistory:
     """Poses of the last seconds by time [ns]. A pose of time 0 holds until the next pose."""
 
-    def __init__(self, keeps: float = 10.0) -> None:
-        """keeps: how far back. [s]"""
-        self._keeps = round(keeps * SECOND)
+    def __init__(self, keeps: float = 10.0, restarts: float = 1.0) -> None:
+        """keeps: how far back. restarts: a pose so much older than the newest one begins a new run:
+        a bag is played again, say. [s]
+        """
+        self._keeps, self._restarts = round(keeps * SECOND), round(restarts * SECOND)
         self._poses: list[tuple[int, Pose]] = []
 
     def add(self, stamp: int, pose: Pose) -> None:
-        """Takes a pose. If time went back by more than is kept, the others are forgotten."""
-        if not stamp or (self._poses and stamp < self._poses[-1][0] - self._keeps):
+        """Takes a pose. The others are forgotten where it begins a new run."""
+        if not stamp or (self._poses and stamp < self._poses[-1][0] - self._restarts):
             self._poses.clear()
         if stamp and self._poses and not self._poses[0][0]:
             self._poses.clear()  # the pose of time 0, which held until now
@@ -37,6 +39,11 @@ class PoseHistory:
         known = place < len(self._poses) and self._poses[place][0] == stamp
         self._poses[place : place + known] = [(stamp, pose)]
         del self._poses[: self._place(self._poses[-1][0] - self._keeps)]
+
+    def clear(self) -> None:
+        """Forgets all poses but one of time 0, which holds."""
+        if self._poses and self._poses[0][0]:
+            self._poses.clear()
 
     def _place(self, stamp: int) -> int:
         """Index of the first pose that isn't older."""

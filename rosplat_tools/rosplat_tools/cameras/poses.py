@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -14,11 +15,16 @@ from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 from rosplat_sorter.qos import overridable
 from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError, PoseHistory
-from rosplat_tools.frames import KEEPS, FrameError, Frames
+from rosplat_tools.frames import KEEPS, FrameError, Frames, on_restart
 from rosplat_tools.poses import to_matrix, to_pose
 from rosplat_tools.program.parameters import declare
 
 POSES = QoSProfile(depth=10)
+
+
+def nanoseconds(stamp: Time) -> int:
+    """A message's time. [ns]"""
+    return int(stamp.sec * SECOND + stamp.nanosec)
 
 
 class Poses(Protocol):
@@ -57,13 +63,19 @@ class TopicPoses:
         self._lock = threading.Lock()
         self._histories = {camera: PoseHistory(KEEPS) for camera in cameras}
         self._frames = dict.fromkeys(cameras, "")
+        self._jumps = on_restart(node, self._forget)
         for camera in cameras:
             topic = f"{camera}/pose" if camera else "pose"
             node.create_subscription(PoseStamped, topic, self._taker(camera), **overridable(POSES))
 
+    def _forget(self) -> None:
+        with self._lock:
+            for history in self._histories.values():
+                history.clear()
+
     def _taker(self, camera: str) -> Callable[[PoseStamped], None]:
         def take(message: PoseStamped) -> None:
-            stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
+            stamp = nanoseconds(message.header.stamp)
             try:
                 pose = to_matrix(to_pose(message.pose))
             except ValueError as error:

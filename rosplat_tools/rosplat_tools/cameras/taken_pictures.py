@@ -24,8 +24,8 @@ from rosplat_sorter.qos import overridable
 from rosplat_tools.cameras import calibrations
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.cameras.health import Health, NoPicture
-from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError
-from rosplat_tools.cameras.poses import declare_poses
+from rosplat_tools.cameras.pose_history import Pose, PoseError
+from rosplat_tools.cameras.poses import declare_poses, nanoseconds
 from rosplat_tools.images import from_image, read_mask
 from rosplat_tools.program.parameters import declare, declare_clip
 
@@ -60,7 +60,7 @@ class Taken(Generic[Optics]):
     @property
     def stamp(self) -> int:
         """[ns]"""
-        return self.header.stamp.sec * SECOND + self.header.stamp.nanosec
+        return nanoseconds(self.header.stamp)
 
 
 class PictureReader(Generic[Optics]):
@@ -215,6 +215,6 @@ class TakenPictures(Generic[Optics]):
             self._images.popleft()
 
     def _pose_of(self, image: Image) -> Pose:
-        stamp = image.header.stamp
-        when = stamp.sec * SECOND + stamp.nanosec
-        return self._poses.at("", image.header.frame_id, self._map.frame_id, when)
+        header = image.header
+        when = nanoseconds(header.stamp)
+        return self._poses.at("", header.frame_id, self._map.frame_id, when)

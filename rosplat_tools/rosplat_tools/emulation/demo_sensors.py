@@ -12,13 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import (
-    PoseStamped,
-    Quaternion,
-    Transform,
-    TransformStamped,
-    Vector3,
-)
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from rclpy.client import Client
@@ -37,28 +31,22 @@ from rosplat_sorter.batches import positions_of
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import overridable
 from rosplat_tools.cameras.calibrations import of_lens
+from rosplat_tools.cameras.pose_history import SECOND
 from rosplat_tools.emulation.flight import CAMERA_OFFSET, Attitude, Flight, Motion, draw_grid
+from rosplat_tools.frames import TF, TFMessage, transform
 from rosplat_tools.images import to_bytes, to_image
 from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run_node
 from rosplat_tools.view_messages import view_camera
 
-# The wheels of PyPI lack tf2_msgs.
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:
-    TFMessage = None
-
 # Reliable: such a publisher serves best-effort subscribers, too. Deep: late ticks send bursts.
 SENSOR = QoSProfile(depth=100)
-# As tf2_ros has them.
-TF = QoSProfile(depth=100)
+# As tf2_ros has it.
 TF_STATIC = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 BODY = "demo_robot"
 CAMERA = "demo_camera_optical"
 
-SECOND = 10**9  # [ns]
 IMU_RATE = 200  # of TF, too [Hz]
 IMAGE_RATE = 10  # of camera poses, and at most of pictures [Hz]
 BACKLOG = SECOND // 2  # the longest delay that a tick makes up for [ns]
@@ -113,7 +101,7 @@ class DemoSensors(Node):
         self._imu_beat = Beat(SECOND // IMU_RATE)
         self._image_beat = Beat(SECOND // IMAGE_RATE)
         self._flight: Flight | None = None
-        self._frame_id = ""  # the map's
+        self._frame_id = ""  # the map's, since the path is laid
         self._trail: deque[PoseStamped] = deque(maxlen=round(self._period * IMAGE_RATE))
         self._picture: _Picture | None = None
 
@@ -135,7 +123,8 @@ class DemoSensors(Node):
         self._renderer: Client = self.create_client(RenderView, f"{self._topic}/render")
         self.get_logger().info(f"waiting for a map on {self._topic} to fly around")
         self._samples: list[NDArray[np.float64]] = []
-        self._begun: float | None = None
+        self._heard = ""  # frame of the last batch
+        self._begun: float | None = None  # when the map did whose path is still to be laid
         MapSubscription(self, self._on_batch)
         self.create_timer(self._imu_beat.period / SECOND, self._tick)
 
@@ -161,14 +150,16 @@ class DemoSensors(Node):
         origin = np.array([message.origin.x, message.origin.y, message.origin.z])
         sample = positions + origin
         self._samples.append(sample[(np.abs(sample) <= FARTHEST).all(axis=1)])
-        waited = time.monotonic() - self._begun
-        if self._received < message.expected_slots and waited < MAP_TIMEOUT:
-            return
-        samples = np.concatenate(self._samples)
-        if len(samples):
+        self._heard = message.header.frame_id
+        if self._received >= message.expected_slots:
+            self._lay()
+
+    def _lay(self) -> None:
+        """Lays the path around what has come of the map, if anything has."""
+        if any(map(len, self._samples)):
             self._begun = None
-            self._frame_id = message.header.frame_id
-            self._fly(Flight.around(samples, self._period))
+            self._frame_id = self._heard
+            self._fly(Flight.around(np.concatenate(self._samples), self._period))
 
     def _fly(self, flight: Flight) -> None:
         self._flight = flight
@@ -178,14 +169,15 @@ class DemoSensors(Node):
             f"{self._frame_id}: radius {flight.radius:.2f} m, height {flight.height:.2f} m"
         )
         if self._tf_static:
-            stamp = self.get_clock().now().to_msg()
-            ahead = np.array([CAMERA_OFFSET, 0, 0])
-            transform = _transform(stamp, BODY, CAMERA, ahead, flight.mount)
-            self._tf_static.publish(TFMessage(transforms=[transform]))
+            header = Header(stamp=self.get_clock().now().to_msg(), frame_id=BODY)
+            mount = _pose(np.array([CAMERA_OFFSET, 0, 0]), flight.mount)
+            self._tf_static.publish(TFMessage(transforms=[transform(header, CAMERA, mount)]))
 
     # --- What is measured -------------------------------------------------------------------------
 
     def _tick(self) -> None:
+        if self._begun is not None and time.monotonic() - self._begun > MAP_TIMEOUT:
+            self._lay()
         flight = self._flight
         if not flight:
             return
@@ -194,10 +186,9 @@ class DemoSensors(Node):
         if motions and self._tf:
             # Before the measurements, for the newest: displays look the pose up for each of them.
             stamp, motion = motions[-1]
-            transform = _transform(
-                _time(stamp), self._frame_id, BODY, motion.position, motion.attitude
-            )
-            self._tf.publish(TFMessage(transforms=[transform]))
+            header = Header(stamp=_time(stamp), frame_id=self._frame_id)
+            pose = _pose(motion.position, motion.attitude)
+            self._tf.publish(TFMessage(transforms=[transform(header, BODY, pose)]))
         for stamp, motion in motions:
             self._imu.publish(self._measure(stamp, motion))
         for stamp in self._image_beat.due(now)[-1:]:
@@ -308,14 +299,9 @@ def _camera_info(camera: Camera, header: Header) -> CameraInfo:
     return info
 
 
-def _transform(
-    stamp: Time, parent: str, child: str, position: NDArray[np.float64], attitude: Attitude
-) -> TransformStamped:
-    return TransformStamped(
-        header=Header(stamp=stamp, frame_id=parent),
-        child_frame_id=child,
-        transform=Transform(translation=_vector(position), rotation=_quaternion(attitude)),
-    )
+def _pose(position: NDArray[np.float64], attitude: Attitude) -> Pose:
+    x, y, z = position.tolist()
+    return Pose(position=Point(x=x, y=y, z=z), orientation=_quaternion(attitude))
 
 
 def _quaternion(attitude: Attitude) -> Quaternion:

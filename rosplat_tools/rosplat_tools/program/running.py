@@ -76,10 +76,10 @@ def run_node(
 def _run(program: str, body: Callable[[], None], module: str) -> None:
     take_ros_arguments_only(program, sys.modules[module].__doc__)
     give_back_large_blocks()
-    # rclpy's own handlers shut ROS down under code that is just using it.
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    interrupt_by_signals()
     try:
+        # rclpy's own handlers shut ROS down under code that is just using it.
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        interrupt_by_signals()
         body()
     except (KeyboardInterrupt, Cancelled, ExternalShutdownException):
         pass

@@ -6,6 +6,11 @@ import re
 from collections.abc import Callable
 
 
+def words_of(text: str) -> str:
+    """A text without its numbers."""
+    return re.sub(r"[0-9.,-]+", "", text)
+
+
 class SaidOnce:
     """Logs what is wrong. The same words, whatever their numbers, are logged once until all is
     well.
@@ -20,7 +25,7 @@ class SaidOnce:
     def say(self, text: str) -> None:
         """Takes what is wrong; empty: all is well."""
         self.now = text
-        words = re.sub(r"[0-9.,-]+", "", text)
+        words = words_of(text)
         if not text:
             self._said.clear()
         elif words not in self._said:

@@ -28,10 +28,13 @@ class Studio:
         messages: list[Any] = self.heard.setdefault(topic, [])
         self.node.create_subscription(kind, _in(self.name, topic), messages.append, 10)
 
-    def pose(self, world_to_camera: np.ndarray, seconds: int = 0, frame: str = "map") -> None:
-        """seconds: 0, the pose holds."""
+    def pose(
+        self, world_to_camera: np.ndarray, seconds: int = 0, frame: str = "map", nanosec: int = 0
+    ) -> None:
+        """seconds and nanosec: 0, the pose holds."""
         message = PoseStamped(pose=to_pose(np.linalg.inv(world_to_camera)))
         message.header.frame_id, message.header.stamp.sec = frame, seconds
+        message.header.stamp.nanosec = nanosec
         self.listener.wait(lambda: self._poses.get_subscription_count())
         self._poses.publish(message)
 
