@@ -109,7 +109,11 @@ TEST(Painter, PaintsAGivenOrderInFull) {
   studio.write(20000, GaussianBatch::REPLACE);
   auto request = std::make_shared<PaintRequest>(*studio.request("8px"));
   request->layers[0].unsorted = true;
-  EXPECT_EQ(studio.painter.paintNow("view", request)->maps[0].error, 0);
+  studio.painter.paintNow("view", studio.request("8px"));
+  const PaintingPtr painting = studio.painter.paintNow("view", request);
+  EXPECT_EQ(painting->maps[0].error, 0);
+  EXPECT_EQ(painting->maps[0].detail_error, "a given order has no levels of detail");
+  EXPECT_EQ(studio.copy->levelsBytes(), 0u);
 }
 
 TEST(Painter, PaintsAMapThatWentOnByDepthAndNotInAnOrderOfBefore) {
@@ -125,6 +129,7 @@ TEST(Painter, PaintsAMapThatWentOnByDepthAndNotInAnOrderOfBefore) {
   const PaintingPtr given = studio.painter.paintNow("view", request);
   EXPECT_EQ(given->maps[0].order, order);
   EXPECT_LE(given->maps[0].drawn, 500u);
+  EXPECT_EQ(given->maps[0].detail_error, "");
 
   studio.write(1000, GaussianBatch::UPSERT, 1000);
   const PaintingPtr by_depth = studio.painter.paintNow("view", request);

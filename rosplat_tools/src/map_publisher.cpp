@@ -147,7 +147,8 @@ class MapPublisher::Services {
          clock = node.clock->get_clock(),
          steady = steadyClock()](const PullMap::Request::SharedPtr request,
                                  const PullMap::Response::SharedPtr response) {
-          if (request->map_id != map.mapId() && graph->count_publishers(name) > 1) {
+          const bool of_another = !request->map_id.empty() && request->map_id != map.mapId();
+          if (of_another && graph->count_publishers(name) > 1) {
             RCLCPP_WARN_THROTTLE(logger, *steady, kWarningPeriod,
                                  "%s: is published by others, too, and receivers see one map in "
                                  "place of the other: end all publishers but one",

@@ -24,8 +24,9 @@ constexpr std::size_t kEverything = std::numeric_limits<std::size_t>::max();
 
 using Cover = PictureMesh::Cover;
 
-PictureMesh::Cells cellsOf(const std::vector<std::uint8_t>& rgba, int width, int height) {
-  return PictureMesh::cells(width, height, [&rgba](std::size_t first, std::size_t count) {
+PictureMesh::Cells cellsOf(const std::vector<std::uint8_t>& rgba, int width, int height,
+                           ThreadTeam& team) {
+  return PictureMesh::cells(width, height, &team, [&rgba](std::size_t first, std::size_t count) {
     std::uint32_t all = ~0u, some = 0;
     for (std::size_t i = first; i < first + count; ++i) {
       std::uint32_t pixel;
@@ -41,11 +42,16 @@ PictureMesh::Cells cellsOf(const std::vector<std::uint8_t>& rgba, int width, int
 }
 
 // The colours as bytes. Clamped before blending: brighter than white stays white over anything.
-PaintedLayer<std::uint8_t> colourLayer(const SplatPicture& picture) {
+PaintedLayer<std::uint8_t> colourLayer(const SplatPicture& picture, ThreadTeam& team) {
+  constexpr std::size_t kPart = 1 << 16;  // values
   PaintedLayer<std::uint8_t> layer;
-  layer.values.resize(picture.colour.size());
-  toBytes(picture.colour.data(), picture.colour.size(), layer.values.data());
-  layer.cells = cellsOf(layer.values, picture.width, picture.height);
+  const std::size_t all = picture.colour.size();
+  layer.values.resize(all);
+  inParts(&team, (all + kPart - 1) / kPart, [&](std::size_t part) {
+    const std::size_t first = part * kPart;
+    toBytes(&picture.colour[first], std::min(kPart, all - first), &layer.values[first]);
+  });
+  layer.cells = cellsOf(layer.values, picture.width, picture.height, team);
   return layer;
 }
 
@@ -65,19 +71,19 @@ void forDivided(const SplatPicture& picture, const Each& each) {
 }
 
 // The splats behind translucent objects, as bytes.
-PaintedLayer<std::uint8_t> behindLayer(const SplatPicture& picture) {
+PaintedLayer<std::uint8_t> behindLayer(const SplatPicture& picture, ThreadTeam& team) {
   PaintedLayer<std::uint8_t> layer;
   if (picture.behind.empty()) return layer;
   layer.values.resize(picture.behind.size());
   forDivided(picture, [&](std::size_t first, std::size_t count) {
     toBytes(&picture.behind[4 * first], 4 * count, &layer.values[4 * first]);
   });
-  layer.cells = cellsOf(layer.values, picture.width, picture.height);
+  layer.cells = cellsOf(layer.values, picture.width, picture.height, team);
   return layer;
 }
 
 // The mean window depth of the splats behind translucent objects; 1 where their alpha is below 0.5.
-PaintedLayer<float> hidingLayer(const SplatPicture& picture) {
+PaintedLayer<float> hidingLayer(const SplatPicture& picture, ThreadTeam& team) {
   PaintedLayer<float> layer;
   const std::vector<float>& nearness = picture.nearness;
   if (nearness.empty()) return layer;
@@ -89,7 +95,7 @@ PaintedLayer<float> hidingLayer(const SplatPicture& picture) {
     }
   });
   layer.cells = PictureMesh::cells(
-      picture.width, picture.height, [&depths](std::size_t first, std::size_t count) {
+      picture.width, picture.height, &team, [&depths](std::size_t first, std::size_t count) {
         const float* const in_row = &depths[first];
         const bool some = std::count_if(in_row, in_row + count, [](float d) { return d < 1; }) > 0;
         return some ? Cover::kSome : Cover::kNothing;
@@ -324,7 +330,7 @@ void Painter::keepViews(const std::vector<PaintedMapPtr>& maps, const std::strin
   }
   for (const PaintedMapPtr& map : maps) {
     const bool wanted = std::any_of(layers.begin(), layers.end(), [&map](const PaintLayer& layer) {
-      return layer.map == map && !(layer.settings.drawnDetail() == Detail{});
+      return layer.map == map && !layer.unsorted && !(layer.settings.drawnDetail() == Detail{});
     });
     map->keepViews(
         [&](const std::string& id) { return views.count(id) > 0 && (wanted || id != view_id); });
@@ -351,7 +357,11 @@ void Painter::chooseDetail(const std::string& view_id, PictureRequest& request,
   const bool waited_for = !asked.interactive();
   for (std::size_t i = 0; i < asked.layers.size(); ++i) {
     const PaintLayer& layer = asked.layers[i];
-    if (layer.settings.drawnDetail() == Detail{} || layer.order || layer.unsorted) continue;
+    if (layer.settings.drawnDetail() == Detail{}) continue;
+    if (layer.order || layer.unsorted) {
+      painting.maps[i].detail_error = "a given order has no levels of detail";
+      continue;
+    }
     const double start = now();
     PaintedMap::Chosen chosen = layer.map->chooseDetail(
         view_id,
@@ -449,10 +459,10 @@ bool Painter::draw(const std::string& view_id, const Waiting& job) {
   }
   painting.profile = picture_.profile;
   if (asked.window) {
-    painting.mesh = PictureMesh(asked.camera(), picture_);
-    painting.colour = colourLayer(picture_);
-    painting.behind = behindLayer(picture_);
-    painting.hiding = hidingLayer(picture_);
+    painting.mesh = PictureMesh(asked.camera(), picture_, team_.get());
+    painting.colour = colourLayer(picture_, *team_);
+    painting.behind = behindLayer(picture_, *team_);
+    painting.hiding = hidingLayer(picture_, *team_);
     painting.surface = PaintedSurface(
         asked.camera(), asked.interactive() ? std::move(picture_.depth) : picture_.depth);
   }

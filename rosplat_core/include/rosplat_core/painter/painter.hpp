@@ -197,7 +197,8 @@ class Painter {
   std::atomic<bool> cancelled_{false};
 
   // For the painter's thread only; workspace_ for any.
-  CpuRasterizer rasterizer_;
+  const std::shared_ptr<ThreadTeam> team_ = ThreadTeam::ofViewers();
+  CpuRasterizer rasterizer_{team_};
   SplatPicture picture_;
   std::atomic<std::size_t> workspace_{0};
   std::thread thread_;

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "rosplat_core/raster/cpu_rasterizer.hpp"
+#include "rosplat_core/threads/in_parts.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
 
 namespace rosplat {
@@ -34,12 +35,12 @@ class PictureMesh {
   using Cells = std::vector<Cover>;
 
   PictureMesh() = default;
-  // picture: with PictureDepth::kMean, as the camera sees it.
-  PictureMesh(const SplatCamera& camera, const SplatPicture& picture);
+  // picture: with PictureDepth::kMean, as the camera sees it. team: threads that help.
+  PictureMesh(const SplatCamera& camera, const SplatPicture& picture, ThreadTeam* team = nullptr);
 
   // Finds the cells' cover in a picture [px]; cover(first pixel, count) is that of pixels in a row.
   template <typename CoverOf>
-  static Cells cells(int width, int height, const CoverOf& cover);
+  static Cells cells(int width, int height, ThreadTeam* team, const CoverOf& cover);
 
   // Returns the mesh as a camera of the same map sees it.
   CornerGrid seenBy(const SplatCamera& camera) const;
@@ -51,7 +52,8 @@ class PictureMesh {
 };
 
 template <typename CoverOf>
-PictureMesh::Cells PictureMesh::cells(int width, int height, const CoverOf& cover) {
+PictureMesh::Cells PictureMesh::cells(int width, int height, ThreadTeam* team,
+                                      const CoverOf& cover) {
   // With one more pixel around: a cell that has moved blends these pixels with its own.
   const auto coverAt = [&](int left, int top) {
     const int first = std::max(left - 1, 0), last = std::min(left + kCell + 1, width);
@@ -68,12 +70,13 @@ PictureMesh::Cells PictureMesh::cells(int width, int height, const CoverOf& cove
     return found;
   };
   const int columns = (width + kCell - 1) / kCell, rows = (height + kCell - 1) / kCell;
-  std::vector<Cover> inside;
-  for (int row = 0; row < rows; ++row) {
+  std::vector<Cover> inside(std::size_t(rows) * std::size_t(columns));
+  inParts(team, std::size_t(rows), [&](std::size_t row) {
     for (int column = 0; column < columns; ++column) {
-      inside.push_back(coverAt(kCell * column, kCell * row));
+      inside[row * std::size_t(columns) + std::size_t(column)] =
+          coverAt(kCell * column, kCell * int(row));
     }
-  }
+  });
   Cells cells;
   for (int row = -1; row <= rows; ++row) {
     for (int column = -1; column <= columns; ++column) {
