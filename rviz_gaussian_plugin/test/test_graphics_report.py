@@ -7,7 +7,10 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rviz_gaussian_plugin._offscreen", reason="the renderer is not built")
@@ -53,6 +56,19 @@ def test_draws_right_with_a_second_driver(tmp_path: Path) -> None:
     assert re.search(r"^renderer: zink", report, re.MULTILINE), report
     found = re.search(r"^  tiles: tiles, .* (\d+) dB$", report, re.MULTILINE)
     assert found and int(found[1]) >= 60, report
+
+
+def test_a_picture_of_no_numbers_equals_none() -> None:
+    from rviz_gaussian_plugin.graphics_report.command import _drawn
+
+    drawn = {"rasterizer": "tiles", "order_source": "gpu"}
+    picture = np.full((2, 2, 4), np.nan, np.float32)
+    renderer: Any = SimpleNamespace(
+        draw=lambda *_, **__: drawn, read_color=lambda: picture, error="", warning=""
+    )
+    assert _drawn(renderer, np.zeros_like(picture)) == "tiles, order of gpu, nan dB"
+    picture = np.zeros_like(picture)
+    assert _drawn(renderer, picture) == "tiles, order of gpu, equal"
 
 
 def test_says_why_the_processor_draws() -> None:

@@ -433,11 +433,11 @@ class Calls {
  private:
   using Pointer = std::remove_reference_t<decltype(*function)>;
 
-  template <typename... Args>
-  static Pointer counting(void (*)(Args...)) {
+  template <typename Result, typename... Args>
+  static Pointer counting(Result (*)(Args...)) {
     return [](Args... args) {
       ++count_;
-      driver_(args...);
+      return driver_(args...);
     };
   }
 
@@ -604,6 +604,10 @@ TEST_F(SplatRendererTest, TheSorterIsGivenTheMapOnceItIsAsked) {
   fill(asked_before);
   picture(asked_before, Rasterizer::kTiles, OrderSource::kBuiltIn);
   picture(scene, Rasterizer::kTiles, OrderSource::kAuto);
+  RenderSettings built_in;
+  built_in.rasterizer = Rasterizer::kTiles;
+  built_in.order = OrderSource::kBuiltIn;
+  EXPECT_TRUE(scene.ready("view", built_in, true));  // drawing finds the order
   EXPECT_EQ(scene.bytes().host, 0u);
   for (const std::uint64_t revision : {2, 3}) {
     Splats more;
@@ -616,6 +620,19 @@ TEST_F(SplatRendererTest, TheSorterIsGivenTheMapOnceItIsAsked) {
   EXPECT_EQ(scene.report("view").order_source, "processor");
   EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kBuiltIn),
             picture(asked_before, Rasterizer::kTiles, OrderSource::kBuiltIn));
+}
+
+TEST_F(SplatRendererTest, ReportsWhoSortsUntilAnOrderComes) {
+  SplatScene scene(shaders());
+  fill(scene);
+  RenderSettings settings;
+  settings.rasterizer = Rasterizer::kTiles;
+  settings.order = OrderSource::kSidecar;
+  scene.setCamera("view", 1, camera());
+  const FrameReport report = scene.draw("view", settings, Canvas::kNone);
+  EXPECT_EQ(report.order_source, "gpu");
+  EXPECT_GT(report.splats, kSplats / 2);
+  EXPECT_TRUE(report.order_fresh);
 }
 
 TEST_F(SplatRendererTest, UnsortedSlotsFarApartCostTheirPages) {
@@ -799,6 +816,36 @@ TEST_F(SplatRendererTest, ListsTakeTheMemoryThatTheyNeedOfLate) {
   EXPECT_GT(scene.bytes().shared_gpu, limited + std::size_t(list) / 3);
 }
 
+TEST_F(SplatRendererTest, GivesBackTheMemoryOfSplatsThatItSeesNoMore) {
+  constexpr int kFrames = 2 * 64;  // twice its patience
+  SplatScene scene(shaders());
+  RenderSettings settings;
+  settings.rasterizer = Rasterizer::kTiles;
+  std::uint64_t sequence = 0;
+  const auto bytesDrawn = [&] {
+    SplatCamera moved = largeCamera();
+    moved.translation[2] = 1e-6 * double(++sequence);  // never twice from the same place
+    scene.setCamera("view", sequence, moved);
+    scene.draw("view", settings, Canvas::kNone);
+    return scene.bytes().shared_gpu;
+  };
+  const auto fillWith = [&](int count) {
+    OwnedBatch batch(1, GaussianBatch::REPLACE);
+    for (int i = 0; i < count; ++i) {
+      const float right = 0.01f * float(i % 600 - 300), down = 0.01f * float(i / 600 % 500 - 250);
+      batch.add({right, down, 5}, {0.001f, 0.001f, 0.001f}, 0.1f);
+    }
+    scene.apply(batch.look());
+  };
+  fillWith(300000);
+  const std::size_t most = bytesDrawn();
+  fillWith(1000);
+  std::size_t left = most;
+  for (int frame = 0; frame < kFrames; ++frame) left = bytesDrawn();
+  EXPECT_EQ(scene.report("view").splats, 1000u);
+  EXPECT_LT(left, most / 2);
+}
+
 // Long lists whose segments find no memory are blended whole.
 TEST_F(SplatRendererTest, DrawsTheSameWhereSegmentsFindNoMemory) {
   Splats splats;
@@ -947,6 +994,29 @@ TEST_F(SplatRendererTest, AMapThatGrowsWaitsOnceForEachArenaThatGrows) {
   }
   EXPECT_GT(grown, 3);
   EXPECT_LE(Waits::count(), grown + 7);  // and for its own memory
+}
+
+TEST_F(SplatRendererTest, AGivenOrderThatGrowsWaitsSeldom) {
+  constexpr std::uint32_t kBatches = 20, kFirst = 260 * SlotPage::kSlots;
+  SplatScene scene(shaders());
+  RenderSettings settings;
+  settings.rasterizer = Rasterizer::kTiles;
+  settings.order = OrderSource::kOff;
+  scene.setCamera("view", 1, camera());
+  const auto grow = [&](std::uint32_t i) {
+    OwnedBatch batch = splatsInARow(i == 0 ? kFirst : SlotPage::kSlots, 0);
+    batch.revision = i + 1;
+    batch.operation = i == 0 ? GaussianBatch::REPLACE : GaussianBatch::UPSERT;
+    // Behind the camera, so that the order alone grows.
+    for (std::size_t axis = 2; axis < batch.position.size(); axis += 3) batch.position[axis] = -5;
+    batch.first_slot = i == 0 ? 0 : kFirst + (i - 1) * SlotPage::kSlots;
+    scene.apply(batch.look());
+    scene.draw("view", settings, Canvas::kNone);
+  };
+  grow(0);
+  const Waits counted;
+  for (std::uint32_t i = 1; i < kBatches; ++i) grow(i);
+  EXPECT_LT(Waits::count(), int(kBatches) / 2);
 }
 
 namespace {
@@ -1502,6 +1572,8 @@ TEST_F(SplatRendererTest, HasLevelsWhileAViewWantsThem) {
   given.order = OrderSource::kOff;
   cutPicture(scene, given);
   EXPECT_EQ(scene.report("view").error, 0);
+  EXPECT_EQ(scene.report("view").detail_error, "a given order has no levels of detail");
+  EXPECT_EQ(scene.bytes().levels, 0u);
   SplatScene full(shaders());
   fill(full);
   picture(full, Rasterizer::kTiles, OrderSource::kAuto);
@@ -1600,6 +1672,28 @@ TEST_F(SplatRendererTest, RepairsLevelsBesideTheFrames) {
   EXPECT_EQ(greatestDifference(cutPicture(scene, settings),
                                cutPicture(scene, detailed("full", Rasterizer::kTiles))),
             0);
+}
+
+// What comes after that is taken as it comes, and not read back.
+TEST_F(SplatRendererTest, ReadsTheMapForItsLevelsOnce) {
+  constexpr std::uint32_t kCount = 2 * SlotPage::kSlots;
+  SplatScene scene(shaders());
+  const auto grow = [&](std::uint32_t batch) {
+    Splats some;
+    addWall(some, kCount, batch);
+    std::vector<std::uint32_t> slots(kCount);
+    std::iota(slots.begin(), slots.end(), kCount * batch);
+    scene.apply(some.batch(batch + 1, slots));
+  };
+  grow(0);
+  cutPicture(scene, detailed("6px", Rasterizer::kTiles));
+  const Calls<&epoxy_glBufferStorage> counted;  // for what is read
+  for (std::uint32_t batch = 1; batch < 4; ++batch) {
+    grow(batch);
+    cutPicture(scene, detailed("6px", Rasterizer::kTiles));
+  }
+  EXPECT_EQ(counted.count(), 0);
+  EXPECT_GT(scene.report("view").error, 0);
 }
 
 // Two maps that reach through each other, as two displays of a process show them, and the map of

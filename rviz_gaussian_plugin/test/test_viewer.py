@@ -409,6 +409,37 @@ def test_a_closed_window_leaves_its_last_figures(
     assert "1 splats, 1 in view" in capsys.readouterr().out
 
 
+def test_a_drag_turns_a_map_that_still_grows(
+    display: str, node: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pygame = pytest.importorskip("pygame")
+    from rviz_gaussian_plugin.viewer.command import show_window
+
+    MapPublisher(node).replace(discs((RED, 2.0)))
+    rclpy.init(args=["--ros-args", "-r", f"__ns:={node.get_namespace()}"])
+    viewer = Viewer()
+    monkeypatch.setattr(viewer, "complete", lambda: False)
+    turn = (viewer.window_size[1] // 8, 0)
+    drag = pygame.event.Event(pygame.MOUSEMOTION, pos=(0, 0), rel=turn, buttons=(1, 0, 0))
+    eyes: list[float] = []
+    draw_frame = viewer.draw_frame
+
+    def draw_and_drag(view_id: str, camera: ViewCamera) -> dict[str, Any]:
+        if viewer.renderer.splats:
+            eyes.append(camera.pose.position.x)
+            pygame.event.post(drag if len(eyes) < 4 else pygame.event.Event(pygame.QUIT))
+        return draw_frame(view_id, camera)
+
+    monkeypatch.setattr(viewer, "draw_frame", draw_and_drag)
+    try:
+        with spinning(viewer, threads=4):
+            show_window(viewer)
+    finally:
+        del viewer.renderer
+        rclpy.try_shutdown()
+    assert len(set(eyes[1:4])) == 3
+
+
 def test_a_renderer_that_sorts_itself_asks_no_sorter(
     display: str, node: Node, listener: Any
 ) -> None:

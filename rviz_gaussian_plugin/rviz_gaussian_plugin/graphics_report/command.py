@@ -104,6 +104,6 @@ def _drawn(renderer: Renderer, truth: NDArray[np.float32]) -> str:
     except RuntimeError as error:
         return str(error)
     off = float(np.mean((renderer.read_color() - truth) ** 2))
-    accuracy = f"{-10 * np.log10(off):.0f} dB" if off > 0 else "equal"
+    accuracy = "equal" if off == 0 else f"{-10 * np.log10(off):.0f} dB"
     way = f"{drawn['rasterizer']}, order of {drawn['order_source']}, {accuracy}"
     return "; ".join(text for text in (way, renderer.error, renderer.warning) if text)

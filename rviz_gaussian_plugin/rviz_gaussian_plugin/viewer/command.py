@@ -91,28 +91,31 @@ def show_window(viewer: Viewer) -> None:
     pygame.display.set_caption(
         "ROSplat: waiting for a map on " + viewer.resolve_topic_name("gaussians")
     )
-    orbit, framed, said = _framed(viewer), False, 0.0
+    orbit, said = _framed(viewer), 0.0
+    framed = False  # until the map is whole, or the user has moved the camera
     shown: tuple[object, ...] = ()
     camera, view_id, figures, closed = ViewCamera(), "", "", False
     try:
         while viewer.context.ok() and not closed:
+            if not framed and viewer.renderer.splats:
+                orbit, framed = _framed(viewer), viewer.complete()
             for event in pygame.event.get():
                 if event.type == pygame.QUIT or (
                     event.type == pygame.KEYDOWN and event.key in (pygame.K_q, pygame.K_ESCAPE)
                 ):
                     closed = True
                 elif event.type == pygame.KEYDOWN and event.key == pygame.K_r:
-                    orbit = _framed(viewer)
+                    orbit, framed = _framed(viewer), False
                 elif event.type == pygame.MOUSEWHEEL:
+                    framed = viewer.renderer.splats > 0
                     orbit.zoom(0.9**event.y)
-                elif event.type == pygame.MOUSEMOTION:
+                elif event.type == pygame.MOUSEMOTION and any(event.buttons):
+                    framed = viewer.renderer.splats > 0
                     right, down = (part / window.get_height() for part in event.rel)
                     if event.buttons[0]:
                         orbit.turn(4 * right, 4 * down)
-                    elif event.buttons[1] or event.buttons[2]:
+                    else:
                         orbit.pan(right, down)
-            if not framed and viewer.renderer.splats:
-                orbit, framed = _framed(viewer), viewer.complete()
             width, height = window.get_size()
             state = (*orbit.target, orbit.distance, orbit.yaw, orbit.pitch, width, height)
             if state != shown:

@@ -253,6 +253,7 @@ void GaussianClient::publish(rosplat_msgs::msg::ViewCamera view) {
 void GaussianClient::forget(const std::string& view_id) {
   const std::lock_guard lock(mutex_);
   views_.erase(view_id);
+  status_.dropped_order.clear();
 }
 
 void GaussianClient::watch() {
@@ -269,8 +270,8 @@ void GaussianClient::watch() {
 }
 
 void GaussianClient::watchPublishers() {
-  views_followed_ =
-      view_publisher_->get_subscription_count() > node_->count_publishers(remapped_ + "/order");
+  const std::size_t sorters = node_->count_publishers(remapped_ + "/order");
+  views_followed_ = view_publisher_->get_subscription_count() > sorters;
   // A transient local subscription gets nothing from a volatile publisher. There are never two
   // subscriptions: a batch that comes twice would take the map back.
   bool any_latched = false, any_volatile = false, any_best_effort = false;
@@ -293,6 +294,7 @@ void GaussianClient::watchPublishers() {
     subscribe(qos);
   }
   const std::lock_guard lock(mutex_);
+  if (sorters == 0) status_.dropped_order.clear();
   status_.publishers = std::move(names);
   if (status_.publishers.size() < 2) status_.contended = false;
   status_.other_type = other_type;

@@ -88,15 +88,7 @@ GaussianDisplay::GaussianDisplay() {
       this, SLOT(serve()));
 }
 
-GaussianDisplay::~GaussianDisplay() {
-  endService();
-  diagnostics_.reset();
-  views_.reset();
-  client_.reset();  // no more messages into the cloud
-  selection_.reset();
-  picks_.reset();
-  if (cloud_ && cloud_->isAttached()) cloud_->detachFromParent();
-}
+GaussianDisplay::~GaussianDisplay() { unsubscribe(); }
 
 void GaussianDisplay::onInitialize() {
   Display::onInitialize();
@@ -132,7 +124,7 @@ void GaussianDisplay::unsubscribe() {
   endService();
   diagnostics_.reset();
   views_.reset();
-  client_.reset();
+  client_.reset();  // no more messages into the cloud
   selection_.reset();
   picks_.reset();
   handles_.reset();
@@ -333,7 +325,7 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
   std::vector<SplatCamera> cameras;
   for (const auto& [view, frame, camera] : views) {
     cameras.push_back(camera);
-    if (frame.order_source.empty()) continue;  // nothing is sorted yet
+    if (frame.order_source.empty()) continue;  // nothing is drawn yet
     lines.push_back(orderStatus(frame, view));
     lines.push_back(frameStatus(frame, view));
     if (!(wanted == Detail{})) {

@@ -31,6 +31,7 @@ void OrderedView::forget() {
 
 void OrderedView::setOrdersWanted(bool wanted) {
   const bool begins = wanted && !orders_wanted_ && sequence_ > 0;
+  if (!wanted && orders_wanted_) client_.forget(id_);
   orders_wanted_ = wanted;
   if (begins) publish();
 }

@@ -4,6 +4,7 @@
 #include <QUuid>
 #include <algorithm>
 #include <ament_index_cpp/get_package_prefix.hpp>
+#include <exception>
 
 #include "ros_graph.hpp"
 #include "rosplat_tools/ros_versions.hpp"
@@ -49,6 +50,16 @@ void SceneLoader::load(const std::string& path) {
 }
 
 void SceneLoader::choosePublisher() {
+  try {
+    lookForPublisher();
+  } catch (const std::exception& error) {
+    if (!node_->get_node_base_interface()->get_context()->is_valid()) return;  // ROS has ended
+    endChoice();
+    report(error.what(), true);
+  }
+}
+
+void SceneLoader::lookForPublisher() {
   const auto publishers = node_->get_publishers_info_by_topic(topic_);
   for (const auto& publisher : publishers) {
     const std::string name = nodeOf(publisher);

@@ -35,6 +35,7 @@ class SceneLoader {
   using LoadScene = rosplat_msgs::srv::LoadScene;
 
   void choosePublisher();
+  void lookForPublisher();
   void endChoice();
   void request(const std::string& path);
   void startPublisher(const std::string& path);

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <exception>
 #include <limits>
 
 namespace rosplat {
@@ -42,8 +43,15 @@ ImuReceiver::ImuReceiver(const rclcpp::Node::SharedPtr& node, const std::string&
       topic, rclcpp::SensorDataQoS(rclcpp::KeepLast(100)),
       [this](sensor_msgs::msg::Imu::ConstSharedPtr message) { receive(*message); }, options);
   executor_.add_callback_group(group_, node->get_node_base_interface());
-  thread_ = std::thread([this] {
-    while (!stop_ && rclcpp::ok()) executor_.spin_once(100ms);
+  thread_ = std::thread([this, topic, logger = node->get_logger()] {
+    rclcpp::Clock steady_clock(RCL_STEADY_TIME);  // simulated time may stand still
+    while (!stop_ && rclcpp::ok()) {
+      try {
+        executor_.spin_once(100ms);
+      } catch (const std::exception& error) {  // memory may be lacking for a message, say
+        RCLCPP_ERROR_THROTTLE(logger, steady_clock, 5000, "%s: %s", topic.c_str(), error.what());
+      }
+    }
   });
 }
 

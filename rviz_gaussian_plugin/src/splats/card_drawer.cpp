@@ -112,13 +112,14 @@ std::vector<FrameReport> CardDrawer::draw(const std::vector<Look>& looks, Canvas
     report.detail_error = drawn[i].detail_error;
     report.rasterizer = "tiles";
     report.profile = renderer_->profile();
-    if (!looks[i].order) {
+    if (!looks[i].order || !looks[i].order->order) {
       report.splats = drawn[i].drawn;
       report.order_source = "gpu";
       report.order_fresh = true;
       const auto sort = report.profile.find("sort");
       if (sort != report.profile.end()) report.sort_time = sort->second;
-    } else if (const auto& [order, fresh, age] = *looks[i].order; order) {
+    } else {
+      const auto& [order, fresh, age] = *looks[i].order;
       report.splats = order->slots.size();
       report.order_source = order->source;
       report.order_fresh = fresh;

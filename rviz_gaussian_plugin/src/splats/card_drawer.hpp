@@ -36,7 +36,6 @@ class CardDrawer : public Drawer {
                                           OrderSource source, bool sort_now) override;
 
   bool drawsWith(const Drawer& other) override;
-  bool ready(const Look&) override { return true; }
   void begin(const std::vector<Look>& looks, Canvas canvas) override {
     renderer_->begin(views(looks), canvas);
   }

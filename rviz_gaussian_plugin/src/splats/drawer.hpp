@@ -23,7 +23,7 @@ struct FrameReport {
   std::size_t maps = 1;                   // in this picture, sorted together
   double error = 0;                       // of the levels drawn, 0 in full detail [px]
   std::string detail_error;               // why the detail asked for could not be drawn
-  std::string order_source;               // what sorted, empty if nothing is sorted yet
+  std::string order_source;               // what sorted, empty if nothing is drawn yet
   bool order_fresh = false;               // whether the order is for this camera and map
   double order_age = 0;                   // [s]
   double sort_time = 0;                   // [s]
@@ -90,8 +90,8 @@ class Drawer {
 
   // Whether both maps can be in one picture, sorted together.
   virtual bool drawsWith(const Drawer& other) = 0;
-  // Whether the picture for a look is finished. If not, begins that picture.
-  virtual bool ready(const Look& look) = 0;
+  // Whether the picture for a look is finished, or draw() finishes it. If not, begins that picture.
+  virtual bool ready(const Look&) { return true; }
   // Begins a picture of maps, this drawer's map among them. draw() follows before the next one.
   virtual void begin(const std::vector<Look>& /*looks*/, Canvas) {}
   // Draws the picture into the current framebuffer. Returns a report of each map.

@@ -69,9 +69,7 @@ PaintRequest SoftwareRenderer::requestOf(const std::vector<ViewedMap>& maps) con
 }
 
 const std::string& SoftwareRenderer::join(const std::vector<ViewedMap>& maps) {
-  std::vector<std::string> view_ids;
-  for (const ViewedMap& map : maps) view_ids.push_back(map.view_id);
-  return names_.join(view_ids, [this](const std::string& name) { drop(name); });
+  return names_.join(maps, [this](const std::string& name) { drop(name); });
 }
 
 void SoftwareRenderer::ask(const std::string& name, PaintRequestPtr request,

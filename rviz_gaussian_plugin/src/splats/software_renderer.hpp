@@ -4,6 +4,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "gl/canvas.hpp"
@@ -49,8 +50,8 @@ class SoftwareRenderer {
   void drawSurface(const std::vector<ViewedMap>& maps, Canvas canvas, double far_clip);
   // See SplatRenderer. Marks where the shown picture has splats; the painter finds which ones.
   void drawPick(const std::vector<ViewedMap>& maps, Canvas canvas, std::uint32_t number);
-  // After drawPick(): the picked splats of each of its maps.
-  std::vector<Pick> pick() { return painter_.pick(picked_); }
+  // Once after drawPick(): the picked splats of each of its maps.
+  std::vector<Pick> pick() { return painter_.pick(std::exchange(picked_, {})); }
 
   // What draw() showed last; see SplatRenderer. Throw PictureError if that was interactive.
   const std::vector<float>& readColor() const;

@@ -22,7 +22,7 @@ const ShaderSource& checked(const ShaderSource& source) {
 bool missesBudget(Frame& frame, const std::vector<std::size_t>& drawn,
                   const std::vector<CardView>& maps) {
   bool misses = false;
-  for (std::size_t i = 0; i < maps.size() && !frame.order; ++i) {
+  for (std::size_t i = 0; i < maps.size(); ++i) {
     FrameLayer& layer = frame.layers[i];
     const double error = layer.cuts() ? layer.error : 0;
     const auto next = maps[i].map->drew(maps[i].view_id, error, drawn[i]);
@@ -57,23 +57,18 @@ double SplatRenderer::clock() const {
 
 std::string SplatRenderer::warning() const {
   std::string text;
-  if (sort_.lostBallots()) text = "the graphics driver's subgroups don't work; sorting avoids them";
-  if (refused_depth_) {
-    text += text.empty() ? "" : "; ";
-    text +=
-        "the graphics driver doesn't give the depth of the opaque scene; no object hides splats";
+  const auto add = [&text](const char* what) {
+    text += (text.empty() ? "" : "; ") + std::string(what);
+  };
+  if (sort_.lostBallots()) add("the graphics driver's subgroups don't work; sorting avoids them");
+  if (std::any_of(copies_depth_.begin(), copies_depth_.end(),
+                  [](const auto& of) { return !of.second; })) {
+    add("the graphics driver doesn't give the depth of the opaque scene; no object hides splats");
   }
   if (leaves_out_) {
-    text += text.empty() ? "" : "; ";
-    text += "the graphics card has no memory to list all splats; some of the farthest are missing";
+    add("the graphics card has no memory to list all splats; some of the farthest are missing");
   }
   return text;
-}
-
-const std::string& SplatRenderer::join(const std::vector<CardView>& maps) {
-  std::vector<std::string> view_ids;
-  for (const CardView& map : maps) view_ids.push_back(map.view_id);
-  return names_.join(view_ids, [this](const std::string& name) { drop(name); });
 }
 
 SplatRenderer::RenderedView& SplatRenderer::view(const std::string& name) {
@@ -128,19 +123,14 @@ Frame SplatRenderer::frame(const std::vector<CardView>& maps, Canvas canvas,
 }
 
 void SplatRenderer::copyDepth(const CanvasScope& window, const gl::Target& target) {
-  const GLenum format = window.depthFormat();
-  if (format && format == refused_depth_) return clearDepth();
+  const auto [copies, is_new] = copies_depth_.emplace(window.depthFormat(), true);
+  if (!copies->second) return clearDepth();
   // Asks for errors once per format: a driver with threads of its own has to wait for these.
-  const bool tried = !format || format == copied_depth_;
-  if (!tried) gl::dropErrors();
+  if (is_new) gl::dropErrors();
   window.copyDepth(target);
-  if (tried) return;
-  if (glGetError() == GL_NO_ERROR) {
-    copied_depth_ = format;
-  } else {
-    refused_depth_ = format;
-    clearDepth();
-  }
+  if (!is_new || glGetError() == GL_NO_ERROR) return;
+  copies->second = false;
+  clearDepth();
 }
 
 // Draws the depth of the translucent objects, in as many samples as the framebuffer has.
@@ -199,16 +189,18 @@ void SplatRenderer::begin(const std::vector<CardView>& maps, Canvas canvas) {
   const gl::Turn turn(sort_is_free_);
   const gl::ComputeScope scope;
   gl::deleteAbandoned();
-  ViewState& view = *this->view(join(maps)).state;
+  const auto& name = names_.join(maps, [this](const std::string& unused) { drop(unused); });
+  ViewState& view = *this->view(name).state;
   std::vector<CardMap::Chosen> chosen;
   for (const CardView& map : maps) {
-    chosen.push_back(map.map->chooseDetail(map.view_id, map.settings, map.camera, clock()));
+    chosen.push_back(map.map->chooseDetail(map.view_id, map.settings, map.camera,
+                                           map.order != nullptr, clock()));
   }
   auto begun = std::make_unique<Begun>(*this, maps, canvas);
   begun->chosen = std::move(chosen);
   begun->view = &view;
   Frame& frame = begun->frame;
-  for (std::size_t i = 0; i < maps.size() && !frame.order; ++i) {
+  for (std::size_t i = 0; i < maps.size(); ++i) {
     frame.layers[i].error = begun->chosen[i].error;
   }
   view.prepare(frame);
@@ -266,7 +258,7 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const Surroundings& around
   for (std::size_t i = 0; i < maps.size(); ++i) {
     const double error = frame.layers[i].cuts() ? frame.layers[i].error : 0;
     std::string& problem = chosen[i].problem;
-    if (problem.empty() && !frame.order) problem = maps[i].map->detailProblem(maps[i].view_id);
+    if (problem.empty()) problem = maps[i].map->detailProblem(maps[i].view_id);
     drawn.push_back({view.splats().countsOfLayers()[i], error, std::move(problem)});
   }
   leaves_out_ = view.tiles().leavesOut();

@@ -115,8 +115,6 @@ class SplatRenderer {
     Frame frame;  // of `maps`
   };
 
-  // Joins the views of maps to one view, and returns its name.
-  const std::string& join(const std::vector<CardView>& maps);
   // The state of a view. If all states take too much memory, a new view takes over the oldest one.
   RenderedView& view(const std::string& name);
   // The state of a display's view, null if none is kept.
@@ -146,8 +144,8 @@ class SplatRenderer {
   ViewState* drawn_ = nullptr;  // last
   std::size_t picked_layers_ = 0;
   gl::Target depth_, surface_depth_, pick_depth_;
-  GLenum copied_depth_ = 0, refused_depth_ = 0;  // formats that the driver copied, and refused
-  bool leaves_out_ = false;  // some splats of the last picture, for lack of memory
+  std::map<GLenum, bool> copies_depth_;  // whether the driver does, by format
+  bool leaves_out_ = false;              // some splats of the last picture, for lack of memory
   std::map<std::string, double> profile_;
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };

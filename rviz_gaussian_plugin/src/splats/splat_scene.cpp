@@ -11,8 +11,6 @@ namespace rosplat {
 namespace {
 
 constexpr std::size_t kMostOrders = 64;  // waiting orders, the newest of each view
-// The view of the mouse tools, which is not published to sidecars.
-constexpr const char* kSurfaceView = "surface";
 
 bool same(const MapState& a, const MapState& b) {
   return a.edits == b.edits && a.pulled == b.pulled;
@@ -165,6 +163,7 @@ Drawer::Look SplatScene::look(const InView& map, bool sort_now, bool alone) {
 
 bool SplatScene::ready(const std::string& view_id, const RenderSettings& settings, bool sort_now) {
   prepare(settings);
+  if (drawer_->by() == DrawnBy::kCard) return true;  // draw() finds the order
   return drawer_->ready(look({this, view_id, settings}, sort_now, true));
 }
 
@@ -233,12 +232,6 @@ std::vector<Drawer::Look> SplatScene::touched(const std::vector<InView>& maps) {
   for (const InView& map : maps) {
     looks.push_back({map.scene->drawer_.get(), map.view_id, *map.camera, inFull(map.settings), {}});
     looks.back().settings.order = OrderSource::kAuto;
-  }
-  if (maps.size() == 1) {
-    SplatScene& scene = *maps.front().scene;
-    scene.book_.setCamera(kSurfaceView, ++scene.touches_, *maps.front().camera, now());
-    looks.front().order =
-        scene.drawer_->choose(scene.book_, kSurfaceView, OrderSource::kAuto, true);
   }
   return looks;
 }

@@ -164,7 +164,6 @@ class SplatScene {
   std::map<std::string, SplatCamera> cameras_;
   std::map<std::string, FrameReport> reports_;
   std::map<std::string, Pace> paces_;
-  std::uint64_t touches_ = 0;
   std::unique_ptr<Drawer> drawer_;
   std::optional<Rasterizer> asked_;  // of the last settings
   std::string refusal_;              // why drawer_ isn't the one asked for

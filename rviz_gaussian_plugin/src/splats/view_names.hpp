@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+#include "viewed_map.hpp"
+
 namespace rosplat {
 
 // Names of views. Each display has an id of its own for its view; displays that show a view
@@ -16,6 +18,13 @@ class ViewNames {
 
   // Gives these views one name, that of the first with a name or else the first id. Returns it.
   const std::string& join(const std::vector<std::string>& view_ids, const Unused& unused);
+  // The same for the views of maps.
+  template <typename Map>
+  const std::string& join(const std::vector<Viewed<Map>>& maps, const Unused& unused) {
+    std::vector<std::string> view_ids;
+    for (const Viewed<Map>& map : maps) view_ids.push_back(map.view_id);
+    return join(view_ids, unused);
+  }
   void forget(const std::string& view_id, const Unused& unused);
   // The name of a display's view; null if it was never joined or is forgotten.
   const std::string* of(const std::string& view_id) const;

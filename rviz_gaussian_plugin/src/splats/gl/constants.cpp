@@ -34,8 +34,6 @@ std::string constantsInGlsl() {
 #define MODE(name) glsl += constant(#name, static_cast<int>(DrawMode::name))
   MODE(kDepth);
   MODE(kBillboard);
-  MODE(kFlatBall);
-  MODE(kGaussianBall);
   MODE(kNormals);
   MODE(kOpacity);
   MODE(kAge);

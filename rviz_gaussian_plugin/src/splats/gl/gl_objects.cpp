@@ -38,10 +38,10 @@ void Buffer::read(std::size_t offset, void* data, std::size_t bytes) const {
                      static_cast<GLsizeiptr>(bytes), data);
 }
 
-void Buffer::reserve(std::size_t bytes) {
+void Buffer::reserve(std::size_t bytes, std::size_t more) {
   if (bytes_ >= bytes) return;
   release();  // first, so that the old and the new memory never exist at once
-  *this = Buffer(bytes, GL_DYNAMIC_COPY);
+  *this = Buffer(bytes + more, GL_DYNAMIC_COPY);
   settle();
 }
 
@@ -347,15 +347,15 @@ bool Target::become(GLenum color_format, int width, int height, GLenum depth_for
   return true;
 }
 
-DrawScope::DrawScope(const Target& target, const Target& depth) {
+DrawScope::DrawScope(const Target& target) {
   glGenFramebuffers(1, &framebuffer_);
   glBindFramebuffer(GL_FRAMEBUFFER, framebuffer_);
   glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT0, GL_TEXTURE_2D, target.color(), 0);
   const bool stencil =
-      depth.depthFormat() == GL_DEPTH24_STENCIL8 || depth.depthFormat() == GL_DEPTH32F_STENCIL8;
+      target.depthFormat() == GL_DEPTH24_STENCIL8 || target.depthFormat() == GL_DEPTH32F_STENCIL8;
   glFramebufferTexture2D(GL_FRAMEBUFFER,
                          stencil ? GL_DEPTH_STENCIL_ATTACHMENT : GL_DEPTH_ATTACHMENT, GL_TEXTURE_2D,
-                         depth.depth(), 0);
+                         target.depth(), 0);
   if (target.second()) {
     glFramebufferTexture2D(GL_FRAMEBUFFER, GL_COLOR_ATTACHMENT1, GL_TEXTURE_2D, target.second(), 0);
     constexpr std::array<GLenum, 2> both{GL_COLOR_ATTACHMENT0, GL_COLOR_ATTACHMENT1};
@@ -367,11 +367,6 @@ DrawScope::DrawScope(const Target& target, const Target& depth) {
                 std::to_string(target.width()) + "x" + std::to_string(target.height()) + " pixels");
   }
   glGenVertexArrays(1, &vertex_array_);
-  bind();
-}
-
-void DrawScope::bind() const {
-  glBindFramebuffer(GL_FRAMEBUFFER, framebuffer_);
   glBindVertexArray(vertex_array_);
 }
 

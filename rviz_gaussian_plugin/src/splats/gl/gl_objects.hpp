@@ -38,15 +38,17 @@ class Buffer {
   void zero(std::size_t offset, std::size_t bytes);  // whole words
   // Copies `bytes` bytes of another buffer, from `offset` on, to the byte `to` of this one.
   void copy(const Buffer& from, std::size_t offset, std::size_t bytes, std::size_t to = 0);
-  // Makes room for so many bytes. The content is lost if the buffer grows.
-  void reserve(std::size_t bytes);
+  // Makes room for so many bytes, and if it grows for some more: growing waits for the graphics
+  // card. The content is lost if the buffer grows.
+  void reserve(std::size_t bytes, std::size_t more = 0);
   // Frees the memory.
   void release();
   // Makes room for the values and writes them to the start of the buffer.
   template <typename Value>
   void upload(const std::vector<Value>& values) {
-    reserve(values.size() * sizeof(Value));
-    write(0, values.data(), values.size() * sizeof(Value));
+    const std::size_t bytes = values.size() * sizeof(Value);
+    reserve(bytes, bytes / 8);
+    write(0, values.data(), bytes);
   }
 
  private:
@@ -215,15 +217,11 @@ class Target {
 // buffers, but not framebuffers and vertex arrays, and rviz has a context for each window.
 class DrawScope {
  public:
-  explicit DrawScope(const Target& target) : DrawScope(target, target) {}
-  // With the depth of another target of the same size.
-  DrawScope(const Target& target, const Target& depth);
+  explicit DrawScope(const Target& target);
   ~DrawScope();
   DrawScope(const DrawScope&) = delete;
   DrawScope& operator=(const DrawScope&) = delete;
 
-  // Binds both again, after another scope.
-  void bind() const;
   GLuint framebuffer() const { return framebuffer_; }
 
  private:

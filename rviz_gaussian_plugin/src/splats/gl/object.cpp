@@ -27,16 +27,12 @@ std::string labelOf(std::uint64_t number) { return "rosplat " + std::to_string(n
 void destroy(GLenum kind, GLuint id) {
   if (kind == GL_BUFFER) {
     glDeleteBuffers(1, &id);
-  } else if (kind == GL_QUERY) {
-    glDeleteQueries(1, &id);
   } else {
     glDeleteTextures(1, &id);
   }
 }
 
-bool exists(GLenum kind, GLuint id) {
-  return kind == GL_BUFFER ? glIsBuffer(id) : kind == GL_QUERY ? glIsQuery(id) : glIsTexture(id);
-}
+bool exists(GLenum kind, GLuint id) { return kind == GL_BUFFER ? glIsBuffer(id) : glIsTexture(id); }
 
 bool belongsHere(const Abandoned& object) {
   if (!hasLabels() || !exists(object.kind, object.id)) return false;
@@ -70,8 +66,6 @@ Object::~Object() {
   const std::lock_guard lock(mutex);
   abandoned.push_back({kind_, id_, number_});
 }
-
-bool Object::isHere() const { return id_ && belongsHere({kind_, id_, number_}); }
 
 void Object::release() {
   if (id_) destroy(kind_, id_);

@@ -51,6 +51,7 @@ void CardLevels::note(const GaussianEdit& edit, std::uint64_t number) {
 
 // Gives the builder pages of the map that it lacks.
 void CardLevels::copy(const SlotStore& store, double now, std::size_t most_pages) {
+  if (copied_ == kNoSlot) return;
   const auto& pages = store.pages().pages();
   if (copied_ == 0) {
     builder_.expectMore(true);
@@ -60,7 +61,6 @@ void CardLevels::copy(const SlotStore& store, double now, std::size_t most_pages
       pages.begin(), pages.end(), copied_,
       [](const SlotPage& of, std::uint32_t first_slot) { return of.first_slot < first_slot; });
   auto i = std::size_t(from - pages.begin());
-  if (copied_ > 0 && i == pages.size()) return;
   while (i < pages.size() && most_pages > 0) {
     std::size_t count = 1;
     if (store.holds(pages[i])) {
@@ -73,6 +73,7 @@ void CardLevels::copy(const SlotStore& store, double now, std::size_t most_pages
     copied_ = pages[i - 1].first_slot + 1;
   }
   if (i < pages.size()) return;
+  copied_ = kNoSlot;
   builder_.expectMore(false);
   reader_ = {};
 }

@@ -58,7 +58,7 @@ class CardLevels {
   std::unique_ptr<LevelsUpdate> update_;                       // is being uploaded, or null
   std::map<std::uint32_t, std::unique_ptr<Written>> written_;  // by the page's first slot
   std::uint64_t cleared_ = 0;  // number of the last edit that emptied the map
-  // The builder has been given the pages before this slot, or gets them as edits.
+  // The builder has been given the pages before this slot. kNoSlot: all; new ones come as edits.
   std::uint32_t copied_ = 0;
   PageReader reader_;  // of those pages
 };

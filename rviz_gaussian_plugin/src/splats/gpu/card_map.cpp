@@ -53,11 +53,11 @@ void CardMap::forEachPage(const std::function<void(const GaussianEdit&)>& take) 
 }
 
 CardMap::Chosen CardMap::chooseDetail(const std::string& view_id, const RenderSettings& settings,
-                                      const SplatCamera& camera, double now) {
-  const Detail detail = settings.drawnDetail();
-  if (detail == Detail{}) {
+                                      const SplatCamera& camera, bool ordered, double now) {
+  const bool full = settings.drawnDetail() == Detail{};
+  if (full || ordered) {
     forget(view_id);
-    return {};
+    return {0, full ? "" : "a given order has no levels of detail"};
   }
   ViewDetail& view = views_[view_id];
   DetailControl& control = view.control;

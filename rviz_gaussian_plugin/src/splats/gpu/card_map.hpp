@@ -39,14 +39,15 @@ class CardMap {
   // Calls take() with edits that rebuild the map elsewhere: its group poses, then page by page.
   void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
 
-  // The detail of a view's next picture, if no order is given: nodes that are no wider than `error`
-  // [px] are drawn in place of splats; 0: no nodes.
+  // The detail of a view's next picture: nodes that are no wider than `error` [px] are drawn in
+  // place of splats; 0: no nodes.
   struct Chosen {
     double error = 0;
     std::string problem;  // why that isn't the detail that was asked for
   };
+  // ordered: the order is given, which nodes are not in.
   Chosen chooseDetail(const std::string& view_id, const RenderSettings& settings,
-                      const SplatCamera& camera, double now);
+                      const SplatCamera& camera, bool ordered, double now);
   // Prepares the choice for the picture after this one, if that is interactive. It takes 0.1 to
   // 0.2 ms, and pictures that nobody waits for don't wait for it: call it while the card draws.
   void expectDetail(const std::string& view_id, const RenderSettings& settings,

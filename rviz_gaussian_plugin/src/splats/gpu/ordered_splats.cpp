@@ -40,7 +40,13 @@ void OrderedSplats::prepare(const Frame& frame) {
     slots += layer.store.slots();
   }
   if (order_ != frame.order) takeOrder(frame.order);
-  projection_.reserve(std::min(slots, kLeastRoom));
+  std::size_t room = std::min(slots, kLeastRoom);
+  if (used_.wastes(visible_)) {
+    projection_.release();
+    drawn_.release();
+    room = std::max(room, withSlack(visible_));
+  }
+  projection_.reserve(room);
   sort_.reserve(projection_.room());
   projection_.run(frame, sort_.keys());
   frame.stopwatch.lap("project");
@@ -51,14 +57,14 @@ void OrderedSplats::prepare(const Frame& frame) {
 void OrderedSplats::takeOrder(const OrderPtr& order) {
   order_ = nullptr;  // stays so if memory is lacking
   if (!order) return slots_.release();
-  slots_.reserve(order->slots.size() * sizeof(std::uint32_t));
   if (!order->slots.empty()) slots_.upload(order->slots);
   tell(order_length_, order->slots.size());
   order_ = order;
 }
 
 void OrderedSplats::putInOrder(std::uint32_t capacity) {
-  drawn_.reserve(std::max(projection_.room(), most()) * sizeof(GLuint));
+  const std::size_t bytes = std::max(projection_.room(), most()) * sizeof(GLuint);
+  drawn_.reserve(bytes, order_ ? bytes / 8 : 0);
   if (!order_) {
     sort_.order(projection_.seen(), expected(), key_bits_, drawn_);
     return;
@@ -81,6 +87,7 @@ bool OrderedSplats::checkRoom(std::size_t most, double growth) {
   const GLuint visible = tallies_.wait(Tallies::kSeen, Tallies::kWanted),
                nearest = tallies_.wait(Tallies::kSeen, Tallies::kNearest),
                farthest = tallies_.wait(Tallies::kSeen, Tallies::kFarthest);
+  visible_ = visible;
   count_ = order_ ? order_->slots.size() : visible;
   counts_ = projection_.visibleOf(count_);
   bool enough = true;
@@ -102,10 +109,8 @@ bool OrderedSplats::checkRoom(std::size_t most, double growth) {
 }
 
 bool OrderedSplats::hasBalls() const {
-  return std::any_of(prepared_.begin(), prepared_.end(), [](const Prepared& prepared) {
-    return prepared.settings.mode == DrawMode::kFlatBall ||
-           prepared.settings.mode == DrawMode::kGaussianBall;
-  });
+  return std::any_of(prepared_.begin(), prepared_.end(),
+                     [](const Prepared& prepared) { return drawsBalls(prepared.settings.mode); });
 }
 
 std::size_t OrderedSplats::bytes() const {

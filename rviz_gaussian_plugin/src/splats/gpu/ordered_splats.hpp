@@ -67,6 +67,8 @@ class OrderedSplats {
   bool kept_ = false;  // nothing of `prepared_` was left out
   gl::Buffer page_numbers_, drawn_;
   std::size_t count_ = 0;
+  std::size_t visible_ = 0;  // splats, as checkRoom() read
+  UsageTracker used_;        // of the room for them
   std::vector<std::size_t> counts_;
   int key_bits_ = 32;       // of the depth keys that are sorted
   int fewer_bits_for_ = 0;  // frames in a row that needed fewer bits

@@ -52,6 +52,13 @@ void Projection::reserve(std::size_t count) {
   room_ = count;
 }
 
+void Projection::release() {
+  for (gl::Buffer& part : ellipses_) part.release();
+  boxes_.release();
+  visible_.release();
+  shares_begin_ = room_ = 0;
+}
+
 void Projection::run(const Frame& frame, const gl::Buffer& keys) {
   std::vector<std::vector<SeenGroup>> groups;
   std::vector<GroupView> views;
@@ -79,7 +86,7 @@ void Projection::run(const Frame& frame, const gl::Buffer& keys) {
 }
 
 void Projection::cull() {
-  visible_.reserve(2 * slotWords() * sizeof(GLuint));
+  visible_.reserve(2 * slotWords() * sizeof(GLuint), slotWords());
   counts_.begin(slotWords() / kGroupWords);
   cull_.use();
   counts_.bind(cull_);

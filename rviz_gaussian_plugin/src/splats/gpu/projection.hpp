@@ -24,6 +24,8 @@ class Projection {
   // Makes room for so many visible splats. Throws gl::Error where the driver has none.
   void reserve(std::size_t count);
   std::size_t room() const { return room_; }
+  // Frees that room, and what is projected.
+  void release();
 
   // Submits the projection. keys: gets the depth keys; has room for room() of them.
   void run(const Frame& frame, const gl::Buffer& keys);

@@ -144,7 +144,9 @@ void TileRasterizer::reserve(const OrderedSplats& splats) {
   };
   begins_.reserve((macroTiles() + 1) * sizeof(GLuint));
   lists_.reserve(tiles() * 3 * sizeof(GLuint));
-  room_.macro_pairs = std::min(std::max(room_.macro_pairs, splats.most()), most_.macro_pairs);
+  // As much as there is room for in `drawn`, which seldom grows.
+  room_.macro_pairs = std::min(std::max(room_.macro_pairs, splats.drawn().bytes() / sizeof(GLuint)),
+                               most_.macro_pairs);
   reserveMost(room_.macro_pairs, most_.macro_pairs, [&] {
     const std::size_t blocks = room_.macro_pairs / kBlockSplats + 1;
     sort_.reserve(std::max(blocks * kBlockSplats, splats.most()));  // boxes of all are there, too
