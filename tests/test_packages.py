@@ -210,7 +210,7 @@ def test_readme_and_guides_use_the_public_interface_alone() -> None:
 def test_readme_and_quality_declaration_name_the_releases_of_ros_that_are_tested() -> None:
     """Those of the workflows, and no others."""
     workflow = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text())["jobs"]
-    debian = workflow["debian"]["strategy"]["matrix"]["ros"]
+    debian = workflow["make"]["strategy"]["matrix"]["ros"]
     assert debian == ["wheels", "kilted-wheels"]
     releases = set(workflow["ros"]["strategy"]["matrix"]["ros"])
     rows = [
