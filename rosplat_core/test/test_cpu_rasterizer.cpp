@@ -145,6 +145,31 @@ TEST(CpuRasterizer, draws_one_splat_on_one_pixel) {
   EXPECT_NEAR(picture.depth[0], 5, 1e-5);
 }
 
+TEST(CpuRasterizer, sums_up_the_depths_of_each_tile) {
+  const Scene scene = cloud();
+  PictureRequest wanted = request(scene);
+  wanted.depth = PictureDepth::kMean;
+  const SplatPicture picture = draw(rasterizer(2), wanted);
+  const int across = (picture.width + kTile - 1) / kTile,
+            down = (picture.height + kTile - 1) / kTile;
+  ASSERT_EQ(picture.tiles.size(), std::size_t(across * down));
+  std::vector<double> depths(picture.tiles.size()), alphas(picture.tiles.size());
+  for (int y = 0; y < picture.height; ++y) {
+    for (int x = 0; x < picture.width; ++x) {
+      const auto pixel = std::size_t(picture.width * y + x);
+      const auto tile = std::size_t(across * (y / kTile) + x / kTile);
+      const double alpha = picture.colour[4 * pixel + 3];
+      if (alpha == 0) continue;
+      alphas[tile] += alpha;
+      depths[tile] += alpha / picture.depth[pixel];
+    }
+  }
+  for (std::size_t tile = 0; tile < picture.tiles.size(); ++tile) {
+    EXPECT_NEAR(picture.tiles[tile].alpha, alphas[tile], 1e-5 * alphas[tile]);
+    EXPECT_NEAR(picture.tiles[tile].depth, depths[tile], 1e-5 * depths[tile]);
+  }
+}
+
 // Of parallel projection, whose splats may be on both sides of the camera.
 TEST(CpuRasterizer, a_median_depth_may_be_of_any_sign) {
   for (const float z : {-2.0f, 0.0f, 2.0f}) {

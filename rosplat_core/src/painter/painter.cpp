@@ -459,7 +459,7 @@ bool Painter::draw(const std::string& view_id, const Waiting& job) {
   }
   painting.profile = picture_.profile;
   if (asked.window) {
-    painting.mesh = PictureMesh(asked.camera(), picture_, team_.get());
+    painting.mesh = PictureMesh(asked.camera(), picture_);
     painting.colour = colourLayer(picture_, *team_);
     painting.behind = behindLayer(picture_, *team_);
     painting.hiding = hidingLayer(picture_, *team_);

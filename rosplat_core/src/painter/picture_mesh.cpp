@@ -4,7 +4,6 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <numeric>
 #include <utility>
 
 #include "raster/kernels.hpp"
@@ -13,7 +12,7 @@ namespace rosplat {
 
 namespace {
 
-static_assert(PictureMesh::kCell == kTile, "SplatPicture::divided is told by cell");
+static_assert(PictureMesh::kCell == kTile, "SplatPicture has a sum for each cell");
 
 int cellsIn(int pixels) { return (pixels + PictureMesh::kCell - 1) / PictureMesh::kCell; }
 
@@ -63,47 +62,16 @@ void fillGaps(std::vector<float>& values, std::vector<float>& weights, int colum
 
 }  // namespace
 
-PictureMesh::PictureMesh(const SplatCamera& camera, const SplatPicture& picture, ThreadTeam* team)
+PictureMesh::PictureMesh(const SplatCamera& camera, const SplatPicture& picture)
     : camera_(camera), columns_(cellsIn(camera.width) + 1), rows_(cellsIn(camera.height) + 1) {
-  struct Cell {
-    float sum, weight;
-  };
-  const int across_cells = columns_ - 1, down_cells = rows_ - 1;
-  std::vector<Cell> cells(std::size_t(across_cells) * std::size_t(down_cells));
-  inParts(team, std::size_t(down_cells), [&](std::size_t number) {
-    const int row = int(number);
-    for (int column = 0; column < across_cells; ++column) {
-      const auto cell = static_cast<std::size_t>(row * across_cells + column);
-      const bool divided = !picture.divided.empty() && picture.divided[cell];
-      const int across = std::min(kCell, camera.width - kCell * column);
-      std::array<float, kCell> alphas, sums{}, weights{};  // by column, to vectorise
-      for (int y = kCell * row; y < std::min(kCell * (row + 1), camera.height); ++y) {
-        const std::size_t first =
-            static_cast<std::size_t>(y) * static_cast<std::size_t>(camera.width) +
-            static_cast<std::size_t>(kCell * column);
-        const float* const depths = &picture.depth[first];
-        for (int x = 0; x < across; ++x) alphas[x] = picture.colour[4 * (first + x) + 3];
-        for (int x = 0; divided && x < across; ++x)
-          alphas[x] += picture.behind[4 * (first + x) + 3];
-        for (int x = 0; x < across; ++x) {
-          const float value = camera.orthographic ? depths[x] : 1 / depths[x];
-          const bool there = alphas[x] > 0 && !std::isnan(depths[x]);
-          sums[x] += there ? alphas[x] * value : 0;
-          weights[x] += there ? alphas[x] : 0;
-        }
-      }
-      cells[cell] = {std::accumulate(sums.begin(), sums.end(), 0.0f),
-                     std::accumulate(weights.begin(), weights.end(), 0.0f)};
-    }
-  });
   const auto corners = static_cast<std::size_t>(columns_) * static_cast<std::size_t>(rows_);
   depths_.assign(corners, 0.0f);
   std::vector<float> weights(corners, 0.0f);
-  for (std::size_t cell = 0; cell < cells.size(); ++cell) {
-    const std::size_t row = cell / std::size_t(across_cells);
+  for (std::size_t cell = 0; cell < picture.tiles.size(); ++cell) {
+    const std::size_t row = cell / std::size_t(columns_ - 1);
     for (const int corner : {0, 1, columns_, columns_ + 1}) {
-      depths_[cell + row + std::size_t(corner)] += cells[cell].sum;
-      weights[cell + row + std::size_t(corner)] += cells[cell].weight;
+      depths_[cell + row + std::size_t(corner)] += picture.tiles[cell].depth;
+      weights[cell + row + std::size_t(corner)] += picture.tiles[cell].alpha;
     }
   }
   for (std::size_t i = 0; i < corners; ++i) {

@@ -82,6 +82,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     picture->width = picture->height = 0;  // in case there is no memory for all of the picture
     picture->colour.resize(4 * pixels);
     picture->depth.resize(request.depth == PictureDepth::kNone ? 0 : pixels);
+    picture->tiles.resize(request.depth == PictureDepth::kMean ? tiles : 0);
     const std::size_t divided = request.translucent_depth.empty() ? 0 : pixels;
     if (!kept || picture->behind.size() != 4 * divided) {
       picture->behind.assign(4 * divided, 0.0f);
@@ -155,15 +156,15 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
                          open.begin() + std::ptrdiff_t(tiles);
   }
   if (blends) {
-    inParts(picture->depth.size(), 1 << 14, [&](const StepShare& part, Member&) {
-      for (std::size_t i = part.begin; i < part.end; ++i) {
-        float& depth = picture->depth[i];
-        const float alpha = picture->colour[4 * i + 3];
-        const bool there = request.depth == PictureDepth::kMean ? alpha > 0 : alpha >= 0.5f;
-        if (!there) depth = std::numeric_limits<float>::quiet_NaN();
-        if (request.depth == PictureDepth::kMean) depth /= alpha;
-      }
-    });
+    if (request.depth == PictureDepth::kMean) findMeanDepths(request, *picture);
+    if (request.depth == PictureDepth::kMedian) {
+      inParts(picture->depth.size(), 1 << 14, [&](const StepShare& part, Member&) {
+        for (std::size_t i = part.begin; i < part.end; ++i) {
+          if (picture->colour[4 * i + 3] >= 0.5f) continue;
+          picture->depth[i] = std::numeric_limits<float>::quiet_NaN();
+        }
+      });
+    }
     for (std::size_t i = 0; i < layers.size(); ++i) of_layers[i].error = layers[i].error;
     picture->layers = std::move(of_layers);
     picture->profile = profile;

@@ -724,6 +724,41 @@ bool contribute(const ContributeTile& tile) {
   return has_ended;
 }
 
+// Plain loops over a row of kTile pixels, which compilers vectorise.
+DepthSums findDepths(const DepthTile& tile) {
+  const auto width = std::size_t(tile.width);
+  float depths[kTile] = {}, weights[kTile] = {};
+  for (int y = 0; y < tile.height; ++y) {
+    const std::size_t first = std::size_t(y) * tile.stride;
+    const auto alphasOf = [&](const float* rgba, float* alphas) {
+      if (width == kTile) {
+        for (std::size_t x = 0; x < kTile; ++x) alphas[x] = rgba[4 * (first + x) + 3];
+      } else {
+        for (std::size_t x = 0; x < width; ++x) alphas[x] = rgba[4 * (first + x) + 3];
+      }
+    };
+    float alphas[kTile] = {}, alphas_behind[kTile] = {}, means[kTile] = {};
+    alphasOf(tile.colour, alphas);
+    if (tile.behind) alphasOf(tile.behind, alphas_behind);
+    __builtin_memcpy(means, tile.depth + first, width * sizeof(float));
+    for (std::size_t x = 0; x < kTile; ++x) {
+      const bool there = alphas[x] > 0;
+      means[x] = there ? means[x] / alphas[x] : __builtin_nanf("");
+      const float value = tile.orthographic ? means[x] : 1 / means[x];
+      const float weight = alphas[x] + alphas_behind[x];
+      depths[x] += there ? weight * value : 0;
+      weights[x] += there ? weight : 0;
+    }
+    __builtin_memcpy(tile.depth + first, means, width * sizeof(float));
+  }
+  DepthSums sums{};
+  for (std::size_t x = 0; x < kTile; ++x) {
+    sums.depth += depths[x];
+    sums.alpha += weights[x];
+  }
+  return sums;
+}
+
 void toBytes(const float* from, std::size_t count, std::uint8_t* bytes) {
   const auto each = [](Floats v) {
     return __builtin_convertvector(toInts(clamp(v, all(0.0f), all(1.0f)) * 255.0f + 0.5f), Bytes);
@@ -737,7 +772,14 @@ void toBytes(const float* from, std::size_t count, std::uint8_t* bytes) {
 
 #define ROSPLAT_QUOTE(name) #name
 #define ROSPLAT_NAME(name) ROSPLAT_QUOTE(name)
-const Kernels kKernels = {
-    ROSPLAT_NAME(ROSPLAT_TARGET), cull, hide, project, blend, pick, contribute, toBytes};
+const Kernels kKernels = {ROSPLAT_NAME(ROSPLAT_TARGET),
+                          cull,
+                          hide,
+                          project,
+                          blend,
+                          pick,
+                          contribute,
+                          findDepths,
+                          toBytes};
 
 }  // namespace rosplat::cpu::ROSPLAT_TARGET

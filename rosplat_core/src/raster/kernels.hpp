@@ -158,6 +158,17 @@ struct ContributeTile : ListedTile {
   Contribution* splats;   // output, one for each in the list
 };
 
+// A tile of a picture whose mean depths are to be found.
+struct DepthTile {
+  // From the tile's first pixel on:
+  const float* colour;  // premultiplied RGBA
+  const float* behind;  // the same of the splats behind translucent objects; or null
+  float* depth;         // weighted sums, which become means
+  std::size_t stride;   // from row to row [px]
+  int width, height;    // [px]
+  bool orthographic;
+};
+
 struct Kernels {
   const char* name;
   // Writes the slots of a page that may be seen; returns how many. candidates: room for all slots.
@@ -176,6 +187,8 @@ struct Kernels {
   bool (*blend)(const BlendTile& tile, PictureDepth depth);
   bool (*pick)(const PickTile& tile);
   bool (*contribute)(const ContributeTile& tile);
+  // Divides the sums by the alphas; NaN where there is nothing.
+  DepthSums (*findDepths)(const DepthTile& tile);
   // Converts values of 0 to 1, rounded; clamps values beyond.
   void (*toBytes)(const float* from, std::size_t count, std::uint8_t* bytes);
 };

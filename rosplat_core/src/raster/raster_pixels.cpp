@@ -142,6 +142,19 @@ void CpuRasterizer::Work::contribute(const PictureRequest& request, const SplatP
   });
 }
 
+void CpuRasterizer::Work::findMeanDepths(const PictureRequest& request, SplatPicture& picture) {
+  const bool orthographic = request.layers.front().camera.orthographic;
+  inParts(tiles, 64, [&](const StepShare& part, Member&) {
+    for (std::size_t number = part.begin; number < part.end; ++number) {
+      const TileRect rect(number, across, picture.width, picture.height);
+      const bool divided = !picture.divided.empty() && picture.divided[number];
+      picture.tiles[number] = kernels.findDepths(
+          {&picture.colour[4 * rect.first], divided ? &picture.behind[4 * rect.first] : nullptr,
+           &picture.depth[rect.first], rect.stride, rect.width, rect.height, orthographic});
+    }
+  });
+}
+
 // Adds in the order of tiles, so that sums are the same for any number of threads.
 void CpuRasterizer::Work::addUp(Contributions& contributions) {
   of_records.assign(parts.back().end, {});

@@ -148,6 +148,7 @@ struct CpuRasterizer::Work {
   void findTiles(const Footprint& footprint, std::uint32_t record, StepShare& part) const;
   bool project(const DepthSlice& slice);
   void list();
+  void findMeanDepths(const PictureRequest& request, SplatPicture& picture);
   void blend(const PictureRequest& request, SplatPicture& picture, bool first, std::size_t tile,
              Member& member);
   void pick(const PictureRequest& request, std::vector<std::uint32_t>& picked, bool first,

@@ -35,8 +35,8 @@ class PictureMesh {
   using Cells = std::vector<Cover>;
 
   PictureMesh() = default;
-  // picture: with PictureDepth::kMean, as the camera sees it. team: threads that help.
-  PictureMesh(const SplatCamera& camera, const SplatPicture& picture, ThreadTeam* team = nullptr);
+  // picture: with PictureDepth::kMean, as the camera sees it.
+  PictureMesh(const SplatCamera& camera, const SplatPicture& picture);
 
   // Finds the cells' cover in a picture [px]; cover(first pixel, count) is that of pixels in a row.
   template <typename CoverOf>

@@ -65,6 +65,7 @@ struct SplatPicture {
   std::vector<float> nearness;  // of `behind`: (1 - window depth) * alpha, alpha: splat_hide.frag
   std::vector<std::uint8_t> divided;  // tiles where `behind` and `nearness` may not be all 0
   std::vector<float> depth;           // PictureDepth [m], NaN where there is none
+  std::vector<DepthSums> tiles;       // of kTile x kTile pixels, row by row; for kMean
   struct OfLayer {
     std::size_t drawn = 0;  // projected splats and nodes; hidden ones may have been skipped before
     double error = 0;       // PictureLayer::error of the levels of detail, 0 if drawn in full [px]
