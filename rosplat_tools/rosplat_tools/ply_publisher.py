@@ -112,11 +112,15 @@ class PlyPublisher(Node):
                 self._go_on(answer)
                 drawn.update(count)
 
+            before, self._up = self._up, up  # a save may come while the map is sent
             try:
                 self._map.replace(splats, progress=published)
-            except MemoryError as error:
-                raise SceneError(f"{path}: too large for this machine's memory") from error
-            self._up = up
+            except BaseException as error:  # the map stays as it was
+                self._up = before
+                if isinstance(error, MemoryError):
+                    reason = f"{path}: too large for this machine's memory"
+                    raise SceneError(reason) from error
+                raise
         text = (
             f"{path}: {len(splats):,} splats, SH degree {splats.sh_degree}, "
             f"loaded and sent in {time.monotonic() - start:.1f} s"

@@ -62,8 +62,13 @@ def test_poses_are_forgotten_by_age_and_when_time_begins_again() -> None:
         history.add(second * SECOND, pose(second))
     with pytest.raises(PoseError):
         history.at(100 * SECOND)
-    history.add(100 * SECOND, pose(1))  # 2 s back: a bag in a loop
-    assert history.newest()[0] == 100 * SECOND
+    history.add(100 * SECOND, pose(1))  # a straggler
+    history.add(103 * SECOND, pose(103))
+    np.testing.assert_allclose(history.at(SECOND * 205 // 2), pose(102.5))
+    history.add(100 * SECOND, pose(1))  # a bag in a loop
+    history.add(101 * SECOND, pose(3))
+    np.testing.assert_allclose(history.at(SECOND * 201 // 2), pose(2))
+    assert history.newest()[0] == 101 * SECOND
     history.clear()
     with pytest.raises(PoseError, match="no pose has come yet"):
         history.newest()

@@ -575,8 +575,7 @@ void Levels::publish(HostSlots& slots) const {
   });
 }
 
-// A group gets samples by its share of the map, lest an estimate take longer the more groups there
-// are.
+// A group gets samples by its share of the map: an estimate reads those of all groups.
 LevelSamples Levels::sampled(const Nodes& nodes, std::uint32_t group) const {
   std::size_t all = 0, own = 0;  // pages of slots
   for (const std::unique_ptr<Known>& known : known_) {

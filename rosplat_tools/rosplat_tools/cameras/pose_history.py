@@ -23,15 +23,22 @@ class PoseHistory:
     """Poses of the last seconds by time [ns]. A pose of time 0 holds until the next pose."""
 
     def __init__(self, keeps: float = 10.0, restarts: float = 1.0) -> None:
-        """keeps: how far back. restarts: a pose so much older than the newest one begins a new run:
-        a bag is played again, say. [s]
+        """keeps: how far back. restarts: two poses in a row that are so much older than the newest
+        one begin a new run: a bag is played again, say. [s]
         """
         self._keeps, self._restarts = round(keeps * SECOND), round(restarts * SECOND)
         self._poses: list[tuple[int, Pose]] = []
+        self._late: tuple[int, Pose] | None = None  # the last pose, if it was so old
 
     def add(self, stamp: int, pose: Pose) -> None:
-        """Takes a pose. The others are forgotten where it begins a new run."""
-        if not stamp or (self._poses and stamp < self._poses[-1][0] - self._restarts):
+        """Takes a pose. The others are forgotten where a new run has begun."""
+        late, self._late = self._late, None
+        if stamp and self._poses and stamp < self._poses[-1][0] - self._restarts:
+            if not late:
+                self._late = stamp, pose  # it may be a straggler
+                return
+            self._poses = [late]
+        elif not stamp:
             self._poses.clear()
         if stamp and self._poses and not self._poses[0][0]:
             self._poses.clear()  # the pose of time 0, which held until now
@@ -42,6 +49,7 @@ class PoseHistory:
 
     def clear(self) -> None:
         """Forgets all poses but one of time 0, which holds."""
+        self._late = None
         if self._poses and self._poses[0][0]:
             self._poses.clear()
 
