@@ -115,11 +115,11 @@ class PlyPublisher(Node):
             before, self._up = self._up, up  # a save may come while the map is sent
             try:
                 self._map.replace(splats, progress=published)
-            except BaseException as error:  # the map stays as it was
+            except MemoryError as error:
                 self._up = before
-                if isinstance(error, MemoryError):
-                    reason = f"{path}: too large for this machine's memory"
-                    raise SceneError(reason) from error
+                raise SceneError(f"{path}: too large for this machine's memory") from error
+            except BaseException:  # the map stays as it was
+                self._up = before
                 raise
         text = (
             f"{path}: {len(splats):,} splats, SH degree {splats.sh_degree}, "

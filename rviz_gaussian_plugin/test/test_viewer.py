@@ -382,61 +382,62 @@ def test_with_a_display_a_window_asks_for_its_view(
     assert "Traceback" not in output
 
 
-def test_a_closed_window_leaves_its_last_figures(
-    display: str, node: Node, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pygame = pytest.importorskip("pygame")
-    from rviz_gaussian_plugin.viewer.command import show_window
-
-    publisher = MapPublisher(node)
-    publisher.replace(discs((RED, 2.0)))
-    rclpy.init(args=["--ros-args", "-r", f"__ns:={node.get_namespace()}"])
-    viewer = Viewer()
-    draw_frame = viewer.draw_frame
-
-    def draw_and_close(*arguments: Any) -> dict[str, Any]:
-        if viewer.complete():
-            pygame.event.post(pygame.event.Event(pygame.QUIT))
-        return draw_frame(*arguments)
-
-    monkeypatch.setattr(viewer, "draw_frame", draw_and_close)
-    try:
-        with spinning(viewer, threads=4):
-            show_window(viewer)
-    finally:
-        del viewer.renderer
-        rclpy.try_shutdown()
-    assert "1 splats, 1 in view" in capsys.readouterr().out
-
-
-def test_a_drag_turns_a_map_that_still_grows(
+@pytest.fixture
+def windowed(
     display: str, node: Node, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pygame = pytest.importorskip("pygame")
+) -> Iterator[Callable[[Callable[[Viewer, ViewCamera], None]], None]]:
+    """Shows a map of one splat in a window, and calls a function before each frame."""
+    pytest.importorskip("pygame")
     from rviz_gaussian_plugin.viewer.command import show_window
 
     MapPublisher(node).replace(discs((RED, 2.0)))
     rclpy.init(args=["--ros-args", "-r", f"__ns:={node.get_namespace()}"])
     viewer = Viewer()
-    monkeypatch.setattr(viewer, "complete", lambda: False)
-    turn = (viewer.window_size[1] // 8, 0)
-    drag = pygame.event.Event(pygame.MOUSEMOTION, pos=(0, 0), rel=turn, buttons=(1, 0, 0))
-    eyes: list[float] = []
     draw_frame = viewer.draw_frame
 
-    def draw_and_drag(view_id: str, camera: ViewCamera) -> dict[str, Any]:
-        if viewer.renderer.splats:
-            eyes.append(camera.pose.position.x)
-            pygame.event.post(drag if len(eyes) < 4 else pygame.event.Event(pygame.QUIT))
-        return draw_frame(view_id, camera)
+    def show(before: Callable[[Viewer, ViewCamera], None]) -> None:
+        def draw(view_id: str, camera: ViewCamera) -> dict[str, Any]:
+            before(viewer, camera)
+            return draw_frame(view_id, camera)
 
-    monkeypatch.setattr(viewer, "draw_frame", draw_and_drag)
-    try:
+        monkeypatch.setattr(viewer, "draw_frame", draw)
         with spinning(viewer, threads=4):
             show_window(viewer)
-    finally:
-        del viewer.renderer
-        rclpy.try_shutdown()
+
+    yield show
+    del viewer.renderer
+    rclpy.try_shutdown()
+
+
+def test_a_closed_window_leaves_its_last_figures(
+    windowed: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    import pygame
+
+    def close(viewer: Viewer, camera: ViewCamera) -> None:
+        if viewer.complete():
+            pygame.event.post(pygame.event.Event(pygame.QUIT))
+
+    windowed(close)
+    assert "1 splats, 1 in view" in capsys.readouterr().out
+
+
+def test_a_drag_turns_a_map_that_still_grows(
+    windowed: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import pygame
+
+    monkeypatch.setattr(Viewer, "complete", lambda viewer: False)
+    eyes: list[float] = []
+
+    def drag(viewer: Viewer, camera: ViewCamera) -> None:
+        if viewer.renderer.splats:
+            eyes.append(camera.pose.position.x)
+            turn = (viewer.window_size[1] // 8, 0)
+            moved = pygame.event.Event(pygame.MOUSEMOTION, pos=(0, 0), rel=turn, buttons=(1, 0, 0))
+            pygame.event.post(moved if len(eyes) < 4 else pygame.event.Event(pygame.QUIT))
+
+    windowed(drag)
     assert len(set(eyes[1:4])) == 3
 
 

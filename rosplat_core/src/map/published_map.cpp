@@ -538,16 +538,15 @@ void PublishedMap::sendSplats(Lock& turn, Lock& lock, const When& stamp, bool wa
     }
     const auto operation = revision_ < begun ? GaussianBatch::REPLACE : GaussianBatch::UPSERT;
     Batch batch = writing(operation, named, group, map_->sh_degree, map_->channels, stamp);
-    batch.revision = ++revision_;
     slots.clear();
-    lock.unlock();
-    wire_.send(std::move(batch));
+    send(lock, std::move(batch));
     if (waits) {
+      lock.unlock();
       turn.unlock();
       wire_.settle();
       turn.lock();
+      lock.lock();
     }
-    lock.lock();
     ended = begun_ != begun;  // another thread has begun to send all
   };
   for (const auto& [group, numbers] : pages) {
