@@ -17,6 +17,7 @@ from rosplat_core.splats import Splats, concatenate
 from rosplat_lab.reference.projection import MIN_ALPHA, Array
 
 LEVELS = 28
+FEWEST = 8  # nodes, which nothing merges any more
 FINEST = 2.0**-13  # width of the smallest cells [m]
 AXIS_CELLS = 2**18  # to either side of the origin
 SIGMAS = 2  # of a splat, that its cell is wider than
@@ -67,7 +68,7 @@ def entry_levels(splats: Splats) -> NDArray[np.int64]:
 
 
 def merge(splats: Splats) -> list[Nodes]:
-    """The nodes of each level, the finest first."""
+    """The nodes of each level up to the last one, the finest first."""
     seen = splats.opacities >= MIN_ALPHA
     entries = np.where(seen, entry_levels(splats), LEVELS)
     axes = to_matrices(splats.orientations)
@@ -88,6 +89,9 @@ def merge(splats: Splats) -> list[Nodes]:
             inside = (below.means, below.covariances, below.opacities, below.sh)
             content = [np.concatenate(pair) for pair in zip(content, inside, strict=True)]
         levels.append(_merge(level, *content))
+        enters_later = ((entries > level) & (entries < LEVELS)).any()
+        if not enters_later and len(levels[-1]) <= FEWEST:
+            break
     return levels
 
 
@@ -164,7 +168,7 @@ def cut(
     drawn, shares = [splats], [share]
     for level, nodes in enumerate(levels):
         share = np.ones(len(nodes))
-        if level + 1 < LEVELS:
+        if level + 1 < len(levels):
             share = rise(errors(nodes.means, 2 * nodes.size, camera, splats.origin))
         drawn.append(nodes.splats(splats))
         shares.append(share - rise(errors(nodes.means, nodes.size, camera, splats.origin)))

@@ -65,6 +65,7 @@ def test_nodes_are_those_of_the_twin(renderer: CpuRenderer, merged: list[levels.
         most = np.minimum(expected.opacities, 16)
         assert (np.abs(nodes["opacities"] - most) <= 1e-2 * most + 1e-3).all()
         assert (np.abs(nodes["sh"] - expected.sh).max(axis=(1, 2)) <= 2e-2).all()
+    assert len(renderer.nodes(len(merged))["positions"]) == 0
     assert len(merged[0]) < len(merged[8]) > len(merged[-1])  # there was something to merge
 
 

@@ -163,13 +163,57 @@ TEST(Lattice, WhatIsTooLargeOrTooFarHasNoCell) {
   EXPECT_NE(entryOf({}, 0), kNoCell);
 }
 
+// A splat so wide that it enters the lattice at its last level, alone in an octant.
+constexpr std::array<float, 3> kWidestAt{-8, -8, -8};
+void writeWidest(Scene& scene, std::uint32_t slot) {
+  scene.write(slot, kWidestAt, {cellSize(kLevels - 1) / 2.5f, 0, 0});
+}
+Cell widestCell() { return cellAt(kWidestAt, kLevels - 1); }
+
+TEST(Levels, EndWhereNothingMoreIsMerged) {
+  Scene scene;
+  const auto expectLast = [&](int last, std::size_t nodes) {
+    ASSERT_TRUE(scene.levels.advance(scene.slots, never));
+    const Levels::Nodes& levels = scene.levels.groups()[0];
+    std::size_t count = 0;
+    for (const auto& page : levels[std::size_t(last)]) count += page->cells.size();
+    EXPECT_EQ(count, nodes);
+    EXPECT_EQ(parentSize(levels, last), kBoundless);
+    if (last > 0) EXPECT_EQ(parentSize(levels, last - 1), cellSize(last));
+    for (std::size_t level = std::size_t(last) + 1; level < kLevels; ++level) {
+      EXPECT_TRUE(levels[level].empty());
+    }
+    expectAsBuiltAtOnce(scene);
+  };
+  const auto rowOf = [&](std::uint32_t count) {  // of splats, each in a cell of 1/8 m of its own
+    for (std::uint32_t slot = 0; slot < count; ++slot) {
+      scene.write(slot, {0.0625f + 0.125f * float(slot), 0.01f, 0.01f}, {0.06f, 0.01f, 0.01f});
+    }
+    scene.send();
+  };
+  const int entry = -3 - kFinestOctave;  // of these
+  rowOf(8);
+  expectLast(entry, 8);
+  rowOf(9);
+  expectLast(entry + 1, 5);
+  writeWidest(scene, 9);
+  scene.send();
+  expectLast(kLevels - 1, 2);
+  scene.remove({9});
+  expectLast(entry + 1, 5);
+  scene.remove({1, 3, 5});
+  expectLast(entry, 6);
+}
+
 TEST(Levels, OfOneSplatAreThatSplat) {
   Scene scene;
   scene.write(7, {0.3f, -0.2f, 5}, {0.1f, 0.02f, 0.05f}, 0.5f, {0.5f, 0.5f, 0.1f, 0.7f});
+  writeWidest(scene, 8);
   scene.send();
   ASSERT_TRUE(scene.levels.advance(scene.slots, never));
   const PackedSlot splat = scene.slots.at(*scene.slots.index().find(7)).packed(7, 1);
-  const auto nodes = nodesOf(scene.levels);
+  auto nodes = nodesOf(scene.levels);
+  EXPECT_EQ(nodes.erase(widestCell()), 1u);
   const int entry = levelOf(nodes.begin()->first);
   EXPECT_EQ(nodes.size(), std::size_t(kLevels - entry));
   for (const auto& [cell, node] : nodes) {
@@ -289,9 +333,11 @@ TEST(Levels, ManySplatsInOnePlaceAreOneNodeALevel) {
   Scene scene;
   for (std::uint32_t slot = 0; slot < 200000; ++slot)
     scene.write(slot, {1, 1, 1}, {0.01f, 0, 0}, 1);
+  writeWidest(scene, 200000);
   scene.send();
   ASSERT_TRUE(scene.levels.advance(scene.slots, never));
-  const auto nodes = nodesOf(scene.levels);
+  auto nodes = nodesOf(scene.levels);
+  EXPECT_EQ(nodes.erase(widestCell()), 1u);
   EXPECT_EQ(nodes.begin()->second.members.size(), 200000u);
   EXPECT_EQ(nodes.size(), std::size_t(kLevels - levelOf(nodes.begin()->first)));
   for (const auto& [cell, node] : nodes) {

@@ -27,5 +27,5 @@ float shareOf(Page page, uint slot, vec3 mean) {
   if (page.level == kNone) {
     return rise(errorOf(page.group, mean, cellSize(levels[slot >> 2] >> 8u * (slot & 3u) & 255u)));
   }
-  return rise(errorOf(page.group, mean, cellSize(page.level + 1u))) - rise(errorOf(page.group, mean, cellSize(page.level)));
+  return rise(errorOf(page.group, mean, cellSize(page.level >> 8))) - rise(errorOf(page.group, mean, cellSize(page.level & 255u)));
 }

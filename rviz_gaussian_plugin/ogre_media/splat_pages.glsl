@@ -3,7 +3,7 @@ struct Page {
   uint number;  // among all that are kept, in the order of slots
   uint page;    // in the arena
   uint group;   // of all its splats, by index in `groups`
-  uint level;   // of its nodes; kNone for a page of slots
+  uint level;   // of its nodes, and 256 * that of the cells around them; kNone for a page of slots
 };
 layout(std430) readonly buffer Pages { Page pages[]; };
 

@@ -51,9 +51,10 @@ CutEstimate::CutEstimate(const std::vector<LevelSamples>& levels, const SplatCam
   for (std::size_t group = 0; group < levels.size(); ++group) {
     const SeenGroup seen(camera, groups[group], settings.clip_box);
     const Cut cut(seen.camera, groups[group].originOrZero(), 1, false);
-    for (int level = 0; level < kLevels; ++level) {
+    int last = kLevels - 1;  // the coarsest level that has nodes
+    while (last > 0 && levels[group][std::size_t(last)].empty()) --last;
+    for (int level = 0; level <= last; ++level) {
       const float size = cellSize(level);
-      const bool top = level + 1 == kLevels;
       for (const NodeSamples& samples : levels[group][std::size_t(level)]) {
         const auto shown = seen.pages.mayShow(samples.position, samples.extent);
         const Places own = binsOf(cut.squaredErrors(samples.corner, size));
@@ -63,7 +64,7 @@ CutEstimate::CutEstimate(const std::vector<LevelSamples>& levels, const SplatCam
           // Splats are drawn at errors below their cell's (half an octave above it where levels
           // blend), nodes below their parent cell's (likewise) and above their own cell's.
           more[std::size_t(own[i] + rise)] += samples.members[i];
-          more[std::size_t(top ? kBins - 1 : parents[i] + rise)] += samples.nodes[i];
+          more[std::size_t(level == last ? kBins - 1 : parents[i] + rise)] += samples.nodes[i];
           more[std::size_t(own[i])] -= samples.nodes[i];
         }
       }

@@ -193,6 +193,7 @@ void Levels::clear() {
   marked_.clear();
   job_.reset();
   nodes_.clear();
+  entering_.clear();
   samples_.clear();
 }
 
@@ -221,6 +222,7 @@ bool Levels::advance(HostSlots& slots, const std::function<bool()>& stop,
     publish(slots);
     const std::unique_ptr<Job> done = std::move(job_);
     nodes_[done->group] = std::move(done->pages);
+    entering_[done->group] = done->entering;
     samples_[done->group] = std::move(samples);
     if (stand) stand(done->marked);
   }
@@ -236,18 +238,25 @@ void Levels::begin(const HostSlots& slots) {
   next_group_ = group + 1;
   if (nodes_.size() <= group) nodes_.resize(group + 1);
   samples_.resize(nodes_.size());
+  entering_.resize(nodes_.size());
   auto job = std::make_unique<Job>();
   job->group = group;
-  std::vector<std::vector<Change>> parts(4 * std::size_t(team_->size()));
+  std::vector<FoundChanges> parts(4 * std::size_t(team_->size()));
   inParts(team_.get(), parts.size(), [&](std::size_t number) {
     const std::size_t first = marked.size() * number / parts.size();
     const std::size_t end = marked.size() * (number + 1) / parts.size();
-    parts[number].reserve((end - first) * kSlots);
+    parts[number].all.reserve((end - first) * kSlots);
     for (std::size_t i = first; i < end; ++i) {
       findChanges(slots, *slots.index().find(marked[i]), parts[number]);
     }
   });
   job->changes = sorted(parts);
+  job->entering = entering_[group];
+  for (const FoundChanges& found : parts) {
+    for (std::size_t level = 0; level < found.more.size(); ++level) {
+      job->entering[level] += found.more[level];
+    }
+  }
   // Pages that now belong to other groups stay marked, for those groups.
   std::map<std::uint32_t, std::vector<std::uint32_t>> still_marked;
   std::vector<std::pair<Known*, std::uint32_t>> regrouped;  // and the new group
@@ -295,28 +304,32 @@ void Levels::know(const HostSlots& slots, const SlotPage& of) {
   known.marked.reset();
 }
 
-void Levels::findChanges(const HostSlots& slots, const SlotPage& of,
-                         std::vector<Change>& changes) const {
+void Levels::findChanges(const HostSlots& slots, const SlotPage& of, FoundChanges& found) const {
   const Known& known = *known_[of.place];
   const HostSlots::Page& page = slots.at(of);
   for (std::uint32_t i = 0; i < kSlots; ++i) {
     if (!known.marked[i]) continue;
     const Cell cell = cellOf(known, of, page, i);
     const Cell before = known.cells[i];
-    if (before != cell && before != kNoCell) changes.push_back({before, of.first_slot + i, false});
-    if (cell != kNoCell) changes.push_back({cell, of.first_slot + i, true});
+    if (before != kNoCell) --found.more[std::size_t(levelOf(before))];
+    if (before != cell && before != kNoCell) {
+      found.all.push_back({before, of.first_slot + i, false});
+    }
+    if (cell == kNoCell) continue;
+    ++found.more[std::size_t(levelOf(cell))];
+    found.all.push_back({cell, of.first_slot + i, true});
   }
 }
 
 // A sample sort: deals the changes out to ranges of cells, then sorts the ranges side by side.
-Levels::Changes Levels::sorted(const std::vector<std::vector<Change>>& parts) const {
+Levels::Changes Levels::sorted(const std::vector<FoundChanges>& parts) const {
   constexpr std::size_t kSamples = 32;  // of a part
   std::vector<Cell> samples, ends;      // ends: of the ranges but the last
   Changes changes;
-  for (const auto& part : parts) {
-    changes.count += part.size();
-    for (std::size_t i = 0; i < part.size(); i += part.size() / kSamples + 1) {
-      samples.push_back(part[i].cell);
+  for (const FoundChanges& part : parts) {
+    changes.count += part.all.size();
+    for (std::size_t i = 0; i < part.all.size(); i += part.all.size() / kSamples + 1) {
+      samples.push_back(part.all[i].cell);
     }
   }
   std::sort(samples.begin(), samples.end());
@@ -330,14 +343,14 @@ Levels::Changes Levels::sorted(const std::vector<std::vector<Change>>& parts) co
   };
   std::vector<std::size_t> next(ranges * parts.size());  // where to write, by range, then part
   inParts(team_.get(), parts.size(), [&](std::size_t part) {
-    for (const Change& change : parts[part]) ++next[rangeOf(change) * parts.size() + part];
+    for (const Change& change : parts[part].all) ++next[rangeOf(change) * parts.size() + part];
   });
   std::size_t sum = 0;
   for (std::size_t& place : next) sum += std::exchange(place, sum);
   std::vector<std::size_t> begins{next};
   changes.all.reset(new Change[changes.count]);
   inParts(team_.get(), parts.size(), [&](std::size_t part) {
-    for (const Change& change : parts[part]) {
+    for (const Change& change : parts[part].all) {
       changes.all[next[rangeOf(change) * parts.size() + part]++] = change;
     }
   });
@@ -367,8 +380,9 @@ void Levels::nextLevel() {
   std::vector<Cell> cells;
   std::vector<Piece> pieces;
   std::vector<std::size_t> touched_pieces;
-  if (job.level + 1 < kLevels) {
-    cells = touchedCells(job.level + 1);
+  const bool last = isLast(pages);
+  if (!last) {
+    cells = touchedCells(job.level + 1, pages);
     cut(job.level + 1, cells, pieces, touched_pieces);
   }
   // From here on, nothing needs memory.
@@ -377,14 +391,31 @@ void Levels::nextLevel() {
   job.cells = std::move(cells);
   job.touched = std::move(touched_pieces);
   job.done = 0;
-  ++job.level;
+  job.level = last ? kLevels : job.level + 1;
 }
 
-// The cells of a level that have changes, or a child that was touched.
-std::vector<Cell> Levels::touchedCells(int level) const {
+// Whether a level of these pages, which the job has just finished, is the group's last one.
+bool Levels::isLast(const Pages& pages) const {
+  std::size_t nodes = 0;
+  for (const auto& page : pages) nodes += page->cells.size();
+  const auto coarser = job_->entering.begin() + job_->level + 1;
+  const bool more =
+      std::any_of(coarser, job_->entering.end(), [](auto count) { return count > 0; });
+  return job_->level + 1 == kLevels || (!more && nodes <= kFewestNodes);
+}
+
+// The cells of a level that have changes, or a child that was touched; of a new level, all.
+// finer: the pages of the level before.
+std::vector<Cell> Levels::touchedCells(int level, const Pages& finer) const {
   std::vector<Cell> parents, touched;
-  for (const Piece& piece : job_->pieces) {
-    parents.insert(parents.end(), piece.parents.begin(), piece.parents.end());
+  if (nodes_[job_->group][std::size_t(level)].empty()) {
+    for (const auto& page : finer) {
+      for (const Cell cell : page->cells) append(parents, parentOf(cell));
+    }
+  } else {
+    for (const Piece& piece : job_->pieces) {
+      parents.insert(parents.end(), piece.parents.begin(), piece.parents.end());
+    }
   }
   const std::vector<Cell>& changed = job_->changes.cells;
   const auto begin = std::lower_bound(changed.begin(), changed.end(), firstCell(level));
@@ -588,6 +619,12 @@ LevelSamples Levels::sampled(const Nodes& nodes, std::uint32_t group) const {
   inParts(team_.get(), nodes.size(),
           [&](std::size_t level) { samples[level] = sampledLevel(nodes[level], most); });
   return samples;
+}
+
+float parentSize(const Levels::Nodes& nodes, int level) {
+  const auto coarser = nodes.begin() + level + 1;
+  const bool has = std::any_of(coarser, nodes.end(), [](const auto& of) { return !of.empty(); });
+  return has ? cellSize(level + 1) : kBoundless;
 }
 
 std::size_t Levels::nodes() const {

@@ -120,11 +120,14 @@ void CpuRasterizer::Work::choosePages(const PictureLayer& layer, std::uint32_t n
     choose(page, memory, number);
     if (memory.parents) pages.back().slots.parents = memory.parents->data();
   }
+  for (int level = 0; level <= kLevels; ++level) {
+    node_parents[std::size_t(level)].fill(cellSize(level));
+  }
   for (int level = 0; level < kLevels; ++level) {
-    const float own = cellSize(level), parent = cellSize(level + 1);
-    HostSlots::PerSlot<float>& parents = node_parents[std::size_t(level)];
-    parents.fill(parent);
+    const float own = cellSize(level);
     for (const Levels::Nodes& nodes : layer.levels->groups()) {
+      const float parent = parentSize(nodes, level);
+      const auto& parents = node_parents[std::size_t(parent < kBoundless ? level + 1 : kLevels)];
       for (const auto& page : nodes[std::size_t(level)]) {
         if (!mayShow(page->bounds, own, parent)) continue;
         choose(page->bounds, page->slots, number);

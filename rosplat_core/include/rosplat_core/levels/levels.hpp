@@ -65,14 +65,16 @@ class NodePage {
 
 // Levels of detail, merged from a map group by group, in the group's frame, so that they move with
 // the group. Each cell of the lattice that holds anything has a node, merged from the child nodes
-// in that cell and the slots that enter there. After an edit, the cells that it touches and all
-// cells around those are merged again from everything in them, in a fixed order: the nodes equal,
-// to the bit, those of a map that was built at once. A slot that no node holds yet has no parent
-// and is drawn in full. For one thread at a time, with the help of a team.
+// in that cell and the slots that enter there. A group's last level is the first one, of those at
+// which no slot enters later, that has kFewestNodes at most. After an edit, the cells that it
+// touches and all cells around those are merged again from everything in them, in a fixed order:
+// the nodes equal, to the bit, those of a map that was built at once. A slot that no node holds yet
+// has no parent and is drawn in full. For one thread at a time, with the help of a team.
 class Levels {
  public:
   using Pages = std::vector<std::shared_ptr<const NodePage>>;  // by ascending cells
   using Nodes = std::array<Pages, kLevels>;
+  static constexpr std::size_t kFewestNodes = 8;  // as many as there are octants
 
   explicit Levels(std::shared_ptr<ThreadTeam> team) : team_(std::move(team)) {}
 
@@ -117,6 +119,12 @@ class Levels {
     std::array<Cell, SlotPage::kSlots> cells;  // at which each slot entered; kNoCell: none
     std::bitset<SlotPage::kSlots> marked;
   };
+  using Entering = std::array<std::int64_t, kLevels>;  // how many slots enter, by level
+  // What a part of the marked pages changes.
+  struct FoundChanges {
+    std::vector<Change> all;
+    Entering more{};  // negative: fewer
+  };
   // A range of a level's cells, begin to end.
   struct Piece {
     Cell begin, end;
@@ -137,6 +145,7 @@ class Levels {
     std::uint32_t group;
     std::vector<std::uint32_t> marked;  // first slots of pages
     Changes changes;
+    Entering entering;
     Nodes pages;
     int level = -1;           // being made; -1 before the first
     std::vector<Cell> cells;  // of the level, that are touched
@@ -146,14 +155,14 @@ class Levels {
   };
 
   void begin(const HostSlots& slots);
-  void findChanges(const HostSlots& slots, const SlotPage& page,
-                   std::vector<Change>& changes) const;
-  Changes sorted(const std::vector<std::vector<Change>>& parts) const;
+  void findChanges(const HostSlots& slots, const SlotPage& page, FoundChanges& found) const;
+  Changes sorted(const std::vector<FoundChanges>& parts) const;
   static Cell cellOf(const Known& known, const SlotPage& of, const HostSlots::Page& page,
                      std::uint32_t i);
   void know(const HostSlots& slots, const SlotPage& page);
   void nextLevel();
-  std::vector<Cell> touchedCells(int level) const;
+  bool isLast(const Pages& pages) const;
+  std::vector<Cell> touchedCells(int level, const Pages& finer) const;
   void cut(int level, const std::vector<Cell>& touched, std::vector<Piece>& pieces,
            std::vector<std::size_t>& touched_pieces) const;
   void make(const HostSlots& slots, std::size_t count);
@@ -170,7 +179,12 @@ class Levels {
   std::uint32_t next_group_ = 0;                                // whose turn is next, by index
   std::unique_ptr<Job> job_;
   std::vector<Nodes> nodes_;           // by group
+  std::vector<Entering> entering_;     // by group
   std::vector<LevelSamples> samples_;  // by group
 };
+
+// The width of the cells around those of a group's node pages: kBoundless for its last level, which
+// has no parents. [m]
+float parentSize(const Levels::Nodes& nodes, int level);
 
 }  // namespace rosplat

@@ -31,7 +31,7 @@ void NodeStore::replace(const std::vector<Levels::Nodes>& groups, int sh_degree)
   for (std::size_t group = 0; group < groups.size(); ++group) {
     const bool known = group < groups_.size();
     for (std::size_t level = 0; level < groups[group].size(); ++level) {
-      replace(int(level), (known ? pages_[group] : kNoNodes)[level],
+      replace(parentSize(groups[group], int(level)), (known ? pages_[group] : kNoNodes)[level],
               (known ? groups_[group] : kNone)[level], groups[group][level],
               next_groups_[group][level]);
     }
@@ -40,7 +40,8 @@ void NodeStore::replace(const std::vector<Levels::Nodes>& groups, int sh_degree)
 }
 
 // `before` and `pages` ascend by their cells.
-void NodeStore::replace(int level, const Levels::Pages& before, const Level& held,
+// parent: width of the cells around the nodes' cells [m].
+void NodeStore::replace(float parent, const Levels::Pages& before, const Level& held,
                         const Levels::Pages& pages, Level& next) {
   const auto free = [this] {
     if (free_.empty()) return places_++;
@@ -63,7 +64,7 @@ void NodeStore::replace(int level, const Levels::Pages& before, const Level& hel
     new_.push_back({page, next.pages.back().place});
   }
   for (; old < before.size(); ++old) leaving_.push_back(held.pages[old].place);
-  next.shelves = shelve(next.pages, [level](const SlotPage&) { return cellSize(level + 1); });
+  next.shelves = shelve(next.pages, [parent](const SlotPage&) { return parent; });
 }
 
 bool NodeStore::upload(std::size_t& bytes, ThreadTeam* team) {

@@ -50,7 +50,7 @@ class NodeStore {
     std::uint32_t place;
   };
 
-  void replace(int level, const Levels::Pages& before, const Level& held,
+  void replace(float parent, const Levels::Pages& before, const Level& held,
                const Levels::Pages& pages, Level& next);
   void write(const New* pages, std::size_t count, ThreadTeam* team);
 

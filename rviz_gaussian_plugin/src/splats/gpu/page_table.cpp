@@ -95,7 +95,9 @@ void PageTable::keep(const FrameLayer& layer, const std::vector<SeenGroup>& grou
   for (int number = 0; layer.cuts() && number < kLevels; ++number) {
     for (const NodeStore::OfGroup& nodes : layer.nodes->groups()) {
       for (const PageShelf& shelf : nodes[std::size_t(number)].shelves) {
-        keepShown(shelf, cellSize(number), first_of_nodes, static_cast<std::uint32_t>(number),
+        const int around = shelf.widest_parent < kBoundless ? number + 1 : kLevels;
+        keepShown(shelf, cellSize(number), first_of_nodes,
+                  static_cast<std::uint32_t>(number | around << 8),
                   [&](std::uint32_t place) { return std::optional(layer.nodes->placeOf(place)); });
       }
     }
