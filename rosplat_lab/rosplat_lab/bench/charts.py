@@ -92,7 +92,7 @@ CHARTS = (
     ),
     Chart(
         "levels-budget", "levels", "frame", "Frame of a million splats and nodes", "time [ms]",
-        parameter("view"), only=lambda r: r.parameters["detail"] == "1000000",
+        parameter("view", "kept"), only=lambda r: r.parameters["detail"] == "1000000",
     ),
     Chart(
         "align", "align", "success", "Poses found again, by how far off they began",

@@ -87,17 +87,21 @@ def _scene(
     yield of("repair", "ms", [_repair(drawer, splats, part) for part in range(5)])
     for view in scenes.views(name):
         cameras = scenes.VIEWS[view](splats, *picture, STEPS)
-        for detail in ("full", f"{SPLATS}"):
-            _show(drawer, cameras[0], detail)
+        ways = [("full", False), (f"{SPLATS}", False)]
+        if which == "card":  # where an interactive picture isn't an older one
+            ways.append((f"{SPLATS}", True))
+        for detail, interactive in ways:
+            _show(drawer, cameras[0], detail, interactive)
 
             def frame(number: int, cameras: Sequence[Camera] = cameras) -> float:
                 drawer.look(cameras[number % STEPS])
                 return milliseconds(drawer.draw)
 
             times = budget.spend(frame, embedded.WARM_UP)
-            _show(drawer, cameras[0], detail)
+            _show(drawer, cameras[0], detail, interactive)
             drawn: dict[str, Any] = {"px": drawer.report["error"], "drawn": drawer.report["splats"]}
-            yield of("frame", "ms", times, view=view, detail=detail, **drawn)
+            kept = "in motion" if interactive else "at once"
+            yield of("frame", "ms", times, view=view, detail=detail, kept=kept, **drawn)
     camera = scenes.inside(splats, *picture, 1)[0]
     for detail, changes in _fades(drawer, camera, length).items():
         most = [np.quantile(change, 0.999) for change in changes]
@@ -114,8 +118,8 @@ def _repair(drawer: Ours, splats: Splats, part: int) -> float:
     return milliseconds(drawer.merge)
 
 
-def _show(drawer: Ours, camera: Camera, detail: str) -> None:
-    drawer.use({"detail": detail})
+def _show(drawer: Ours, camera: Camera, detail: str, interactive: bool = False) -> None:
+    drawer.use({"detail": detail, "interactive": interactive})
     drawer.look(camera)
     drawer.draw()
 
