@@ -622,9 +622,8 @@ LevelSamples Levels::sampled(const Nodes& nodes, std::uint32_t group) const {
 }
 
 float parentSize(const Levels::Nodes& nodes, int level) {
-  const auto coarser = nodes.begin() + level + 1;
-  const bool has = std::any_of(coarser, nodes.end(), [](const auto& of) { return !of.empty(); });
-  return has ? cellSize(level + 1) : kBoundless;
+  const auto around = std::size_t(level) + 1;
+  return around < nodes.size() && !nodes[around].empty() ? cellSize(level + 1) : kBoundless;
 }
 
 std::size_t Levels::nodes() const {

@@ -183,8 +183,8 @@ class Levels {
   std::vector<LevelSamples> samples_;  // by group
 };
 
-// The width of the cells around those of a group's node pages: kBoundless for its last level, which
-// has no parents. [m]
+// The width of the cells around those of a level of a group that has nodes: kBoundless for the last
+// one, whose nodes have no parents. [m]
 float parentSize(const Levels::Nodes& nodes, int level);
 
 }  // namespace rosplat
