@@ -23,8 +23,11 @@ def splats() -> Splats:
     # None so near to where the next level begins that packing could put it there.
     octaves = np.log2(scales.max(axis=1))
     scales[np.abs(octaves - np.rint(octaves)) < 1e-3] *= 1.1
+    positions = random.normal(scale=0.5, size=(count, 3))
+    # One enters by its distance, at a level that reaches further than the level before.
+    positions[0], scales[0] = (-1500, 40, -3), 0.001
     return Splats(
-        positions=random.normal(scale=0.5, size=(count, 3)),
+        positions=positions,
         orientations=orientations / np.linalg.norm(orientations, axis=1, keepdims=True),
         scales=scales,
         opacities=random.uniform(0, 1, count),

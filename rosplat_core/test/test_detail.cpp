@@ -136,6 +136,15 @@ TEST(CutEstimate, ReadsNoMoreOfManyGroups) {
   }
 }
 
+TEST(Budget, IsUsedAsSoonAsItSuffices) {
+  const Plain plain(60000);
+  DetailControl control;
+  const double coarsest = plain.choose(control, {Kind::kSplats, 1});
+  EXPECT_EQ(coarsest, kCoarsestError);
+  control.drew(coarsest, 8);
+  EXPECT_LT(plain.choose(control, {Kind::kSplats, 5000}), 100);
+}
+
 TEST(Budget, IsKeptAndUsed) {
   Plain plain(60000);
   const std::size_t all = plain.draw(0).layers[0].drawn;

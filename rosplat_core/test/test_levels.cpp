@@ -119,6 +119,14 @@ void expectAsBuiltAtOnce(const Scene& scene) {
   }
   EXPECT_EQ(scene.levels.nodes(), levels.nodes());
   EXPECT_EQ(parentsOf(scene.slots), parentsOf(copy));
+  for (std::size_t group = 0; group < levels.groups().size(); ++group) {
+    const auto nodes = nodesOf(levels, group);
+    for (auto node = nodes.begin(); node != nodes.end(); ++node) {
+      const int level = levelOf(node->first);
+      if (parentSize(levels.groups()[group], level) == kBoundless) continue;
+      EXPECT_EQ(nodes.count(parentOf(node->first)), 1u) << "a hole at level " << level;
+    }
+  }
 }
 
 TEST(Lattice, ACellLiesInItsParent) {
@@ -169,6 +177,26 @@ void writeWidest(Scene& scene, std::uint32_t slot) {
   scene.write(slot, kWidestAt, {cellSize(kLevels - 1) / 2.5f, 0, 0});
 }
 Cell widestCell() { return cellAt(kWidestAt, kLevels - 1); }
+
+// The far splat enters at a level whose lattice is twice as wide as that of the level before.
+TEST(Levels, HaveNoHolesBesideAFarSplat) {
+  std::mt19937 random(4);
+  std::uniform_real_distribution<float> near(-0.52f, -0.02f);
+  for (const float far : {-1024.01f, 1024.01f}) {
+    Scene scene;
+    for (std::uint32_t slot = 0; slot < 60; ++slot) {
+      scene.write(slot, {near(random), near(random), near(random)}, {0.001f, 0.001f, 0.001f});
+    }
+    scene.write(60, {far, -0.001f, -0.001f}, {0.001f, 0.001f, 0.001f});
+    scene.send();
+    ASSERT_TRUE(scene.levels.advance(scene.slots, never));
+    expectAsBuiltAtOnce(scene);
+    scene.write(0, {-0.3f, -0.3f, -0.3f}, {0.001f, 0.001f, 0.001f});
+    scene.send();
+    ASSERT_TRUE(scene.levels.advance(scene.slots, never));
+    expectAsBuiltAtOnce(scene);
+  }
+}
 
 TEST(Levels, EndWhereNothingMoreIsMerged) {
   Scene scene;

@@ -93,7 +93,8 @@ double DetailControl::choose(const RenderSettings& settings) {
       break;
   }
   wanted = drawable(wanted);
-  if (!error_) return wanted;  // there is no picture to move on from
+  // Without a picture, or with one of the coarsest nodes alone, there is nothing to move on from.
+  if (!error_ || *error_ >= kCoarsestError) return wanted;
   // With a camera at rest the picture stays, though counts may differ in their last bits.
   if (std::fabs(wanted - *error_) <= (kLeastStep - 1) * *error_) return drawable(*error_);
   const double from = std::max(*error_, finest);

@@ -92,6 +92,8 @@ Cell parentOf(Cell cell) {
          (cell >> 3 & kBelowTop);
 }
 
+bool hasChildren(Cell cell) { return parentOf(childrenOf(cell)) == cell; }
+
 Cell childrenOf(Cell cell) {
   const Cell top = cell >> kTop & 7;
   return firstCell(levelOf(cell) - 1) | top << kTop | (cell & kBelowTop) << 3;

@@ -494,9 +494,12 @@ Levels::Made Levels::nodesOf(const HostSlots& slots, const Piece& piece, std::si
   static const Pages kNone;
   const auto level = std::size_t(job_->level);
   const int degree = slots.shDegree();
-  const Cell first = piece.touched[begin];
+  const Cell first = piece.touched[begin], *const last_cell = piece.touched + end;
   NodeCursor old(nodes_[job_->group][level], first);
-  NodeCursor child(level > 0 ? job_->pages[level - 1] : kNone, level > 0 ? childrenOf(first) : 0);
+  const Cell* const parent =
+      level > 0 ? std::find_if(piece.touched + begin, last_cell, hasChildren) : last_cell;
+  NodeCursor child(parent != last_cell ? job_->pages[level - 1] : kNone,
+                   parent != last_cell ? childrenOf(*parent) : 0);
   auto change = changesFrom(job_->changes, first);
   SlotFinder found(slots);
   Made made;
@@ -521,7 +524,7 @@ Levels::Made Levels::nodesOf(const HostSlots& slots, const Piece& piece, std::si
     made.members.insert(made.members.end(), member, last);
 
     Mixture mixture(cell, degree);
-    if (level > 0) {
+    if (level > 0 && hasChildren(cell)) {
       const Cell children = childrenOf(cell);
       for (child.skipTo(children); child.before(children + 8); child.next()) {
         mixture.add(child.packed(degree), kMostNodeOpacity);

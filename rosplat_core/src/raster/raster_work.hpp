@@ -180,7 +180,7 @@ struct CpuRasterizer::Work {
 
   std::vector<SeenLayer> layers;
   std::vector<SeenPage> pages;  // layer by layer, in the order of slots, nodes last
-  std::array<HostSlots::PerSlot<float>, kLevels + 1> node_parents;  // PageSlots::parents, by level
+  std::array<HostSlots::PerSlot<float>, kLevels + 1> node_parents;  // PageSlots::parents, by theirs
   ScratchBuffer<std::uint32_t> ranks;  // PictureRequest::order's, by place * kSlots + slot in page
   bool ordered = false;                // the request has an order
   Candidate* found = nullptr;  // in the memory of `records`, which are written after dealing

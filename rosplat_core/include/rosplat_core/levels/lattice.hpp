@@ -30,7 +30,10 @@ std::array<double, 3> cornerOf(Cell cell);
 
 // The cell of the next level around this one; there must be a next level.
 Cell parentOf(Cell cell);
-// The first of the eight cells of the level before that lie in this one: consecutive numbers.
+// Whether the level before reaches a cell: its lattice is half as wide, so not all have children.
+bool hasChildren(Cell cell);
+// The first of the eight cells of the level before that lie in this one: consecutive numbers. The
+// cell must have children.
 Cell childrenOf(Cell cell);
 
 }  // namespace rosplat
