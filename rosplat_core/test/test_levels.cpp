@@ -207,7 +207,7 @@ TEST(Levels, EndWhereNothingMoreIsMerged) {
     for (const auto& page : levels[std::size_t(last)]) count += page->cells.size();
     EXPECT_EQ(count, nodes);
     EXPECT_EQ(parentSize(levels, last), kBoundless);
-    if (last > 0) EXPECT_EQ(parentSize(levels, last - 1), cellSize(last));
+    EXPECT_EQ(parentSize(levels, last - 1), cellSize(last));
     for (std::size_t level = std::size_t(last) + 1; level < kLevels; ++level) {
       EXPECT_TRUE(levels[level].empty());
     }

@@ -1676,9 +1676,9 @@ TEST_F(SplatRendererTest, RepairsLevelsBesideTheFrames) {
             0);
 }
 
-// What comes after that is taken as it comes, and not read back.
 bool isRead(GLenum, GLsizeiptr, const void*, GLbitfield access) { return access & GL_MAP_READ_BIT; }
 
+// What comes after that is taken as it comes, and not read back.
 TEST_F(SplatRendererTest, ReadsTheMapForItsLevelsOnce) {
   constexpr std::uint32_t kCount = 2 * SlotPage::kSlots;
   SplatScene scene(shaders());

@@ -65,11 +65,11 @@ class NodePage {
 
 // Levels of detail, merged from a map group by group, in the group's frame, so that they move with
 // the group. Each cell of the lattice that holds anything has a node, merged from the child nodes
-// in that cell and the slots that enter there. A group's last level is the first one, of those at
-// which no slot enters later, that has kFewestNodes at most. After an edit, the cells that it
-// touches and all cells around those are merged again from everything in them, in a fixed order:
-// the nodes equal, to the bit, those of a map that was built at once. A slot that no node holds yet
-// has no parent and is drawn in full. For one thread at a time, with the help of a team.
+// in that cell and the slots that enter there. A group's levels end at the first one of at most
+// kFewestNodes nodes after which no slot enters. After an edit, the cells that it touches and all
+// cells around those are merged again from everything in them, in a fixed order: the nodes equal,
+// to the bit, those of a map that was built at once. A slot that no node holds yet has no parent
+// and is drawn in full. For one thread at a time, with the help of a team.
 class Levels {
  public:
   using Pages = std::vector<std::shared_ptr<const NodePage>>;  // by ascending cells
@@ -183,8 +183,8 @@ class Levels {
   std::vector<LevelSamples> samples_;  // by group
 };
 
-// The width of the cells around those of a level of a group that has nodes: kBoundless for the last
-// one, whose nodes have no parents. [m]
+// The width of the parents' cells of a level that has nodes: kBoundless for the group's last level,
+// whose nodes have no parents. [m]
 float parentSize(const Levels::Nodes& nodes, int level);
 
 }  // namespace rosplat
