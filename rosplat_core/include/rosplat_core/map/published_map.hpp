@@ -17,6 +17,7 @@
 namespace rosplat {
 
 class NamedSlots;
+class PublishedContent;
 
 // A message's time; made from a builtin_interfaces Time or an rclcpp::Time.
 struct Stamp {
@@ -147,21 +148,12 @@ class PublishedMap {
               int most_sh_degree) const;
 
  private:
-  struct Content;
-  struct Page;
-  struct Plan;
   class Numbering;
   using Lock = std::unique_lock<std::recursive_mutex>;
 
   void upsert(const NamedSlots& slots, const SplatsView& splats, std::uint32_t group,
               const When& stamp);
   void erase(const NamedSlots& slots, const When& stamp);
-  static Plan prepared(Content& map, const NamedSlots& slots, const SplatsView& splats,
-                       std::uint32_t group);
-  static std::size_t write(Content& map, const NamedSlots& slots, const SplatsView& splats,
-                           const Plan& plan, std::uint32_t group, std::uint64_t revision);
-  static void refer(Content& map, const SplatsView& splats,
-                    const std::shared_ptr<const void>& keeper);
   void warnOf(std::size_t left_out);
 
   void sendMap(Lock& turn, Lock& lock, const When& stamp, bool waits);
@@ -170,14 +162,6 @@ class PublishedMap {
   void begin(Lock& lock, const When& stamp);
   void send(Lock& lock, Batch&& batch);
 
-  template <typename Each>
-  void forEach(const NamedSlots& slots, const Each& each) const;
-  void gather(const NamedSlots& slots, int sh_degree, Splats& splats) const;
-  bool gatherRows(const NamedSlots& slots, int sh_degree, std::vector<std::uint8_t>& payload) const;
-  std::vector<float> gatherChannels(const NamedSlots& slots,
-                                    const std::vector<std::string>& channels) const;
-  void setFrame(const NamedSlots& slots, Splats& splats) const;
-  Poses placedAfter(std::uint64_t revision) const;
   Batch batch(std::uint8_t operation, const When& stamp) const;
   Batch beginning(const When& stamp) const;
   Batch writing(std::uint8_t operation, const NamedSlots& slots, std::uint32_t group, int sh_degree,
@@ -194,7 +178,7 @@ class PublishedMap {
   mutable std::recursive_mutex mutex_;  // guards the map; free for pulls while a map is being sent
   std::uint64_t revision_ = 0;
   std::uint64_t begun_ = 0;  // revision of the last REPLACE: older clients need all of the map
-  std::unique_ptr<Content> map_;
+  std::unique_ptr<PublishedContent> map_;
 };
 
 }  // namespace rosplat
