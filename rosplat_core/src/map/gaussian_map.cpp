@@ -239,6 +239,49 @@ void layOutChannels(const GaussianBatch& batch, const std::vector<bool>& kept,
   }
 }
 
+// Changes which slots are in use, and takes that back at its end unless it is kept.
+class SlotUse {
+ public:
+  // runs: of the slots that set() gets, one after the other. most: slots that empty() gets.
+  SlotUse(SlotSet& used, const SlotRuns& runs, std::size_t most)
+      : used_(used), runs_(runs), before_(countSlots(runs)) {
+    emptied_.reserve(most);
+  }
+  SlotUse(const SlotUse&) = delete;
+  SlotUse& operator=(const SlotUse&) = delete;
+  ~SlotUse() {
+    if (kept_) return;
+    std::size_t i = before_.size();
+    for (auto run = runs_.rbegin(); run != runs_.rend(); ++run) {
+      for (std::uint32_t k = run->second; k > 0; --k) {
+        if (--i < set_) used_.set(run->first + k - 1, before_[i]);
+      }
+    }
+    for (const std::uint32_t slot : emptied_) used_.set(slot, true);
+  }
+
+  // Both return whether the slot was in use.
+  bool set(std::uint32_t slot, bool in_use) {
+    const bool before = used_.set(slot, in_use);
+    before_[set_++] = before;
+    return before;
+  }
+  bool empty(std::uint32_t slot) {
+    const bool before = used_.set(slot, false);
+    if (before) emptied_.push_back(slot);
+    return before;
+  }
+  void keep() { kept_ = true; }
+
+ private:
+  SlotSet& used_;
+  const SlotRuns& runs_;
+  std::vector<bool> before_;
+  std::size_t set_ = 0;
+  std::vector<std::uint32_t> emptied_;
+  bool kept_ = false;
+};
+
 }  // namespace
 
 std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batch,
@@ -247,38 +290,19 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   // A pulled batch that fails leaves no gap in the revisions.
   if (batch.arrival != Arrival::kHeard) ++lost_;
   check(batch);
-  std::vector<GroupMove> moves;
-  if (batch.operation == GaussianBatch::MOVE) moves = movesOf(batch);
-  const bool new_map = batch.map_id != state_.id;
-  const bool heard = batch.arrival == Arrival::kHeard;
-  const bool back = heard && !new_map && batch.revision <= state_.revision;
-  const bool replace = batch.operation == GaussianBatch::REPLACE;
-  const bool values = writes(batch);
 
-  auto edit = std::make_shared<GaussianEdit>();
-  edit->clear = new_map || replace;
   // Memory may run out at any line until `keep` returns; the map is then unchanged.
-  MapState next;
-  SlotSet fresh;
-  SlotSet& used = edit->clear ? fresh : used_;
-  if (!edit->clear) next = state_;
-  // A REPLACE needs none of the batches before it. A map that is played again, but not from its
-  // beginning, lacks all batches before.
-  if (back) next.revision = next.missed = 0;
-  if (heard && !replace) report.missed = batch.revision - next.revision - 1;
-  if (batch.arrival == Arrival::kLast) next.missed = edit->clear ? 0 : lost_ - 1;
-  if (!heard) next.pulled = batch.arrival == Arrival::kPulled;
-  next.id = batch.map_id;
-  next.round = state_.round + (new_map || back ? 1 : 0);
-  next.revision = batch.revision;
-  next.edits = state_.edits + 1;
-  next.expected = batch.expected_slots;
-  if (values && batch.count > 0 && next.capacity == 0) next.antialiased = batch.antialiased;
+  auto edit = std::make_shared<GaussianEdit>();
+  edit->clear = begins(batch);
+  if (batch.operation == GaussianBatch::MOVE) edit->moves = movesOf(batch);
+  MapState next = stateAfter(batch, report);
+  edit->round = next.round;
+  edit->revision = next.revision;
 
   Groups fresh_groups;
   Groups& groups = edit->clear ? fresh_groups : groups_;
-  const bool places = values && batch.count > 0;
-  if (const std::size_t more = moves.size() + (places ? 1 : 0); !groups.hasRoom(more)) {
+  const bool places = writes(batch) && batch.count > 0;
+  if (const std::size_t more = edit->moves.size() + (places ? 1 : 0); !groups.hasRoom(more)) {
     Groups larger = groups;
     larger.makeRoom(more);
     const std::lock_guard lock(locks_.exchanging);
@@ -293,68 +317,38 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
     next.groups += has_origin ? 0 : 1;
     group_index = known ? std::size_t(known - groups.all().data()) : groups.all().size();
   }
-  edit->moves = std::move(moves);
 
+  SlotSet fresh;
+  SlotSet& used = edit->clear ? fresh : used_;
   edit->runs = runsOf(batch);
   std::vector<bool> kept;
   std::vector<std::uint32_t> of_others;
-  if (values) {
-    // Pulled batches may write to a block of another group: the block may be newer than the batches
-    // after it. It is emptied, and a later one of these batches writes its splats again.
-    of_others = blocksOfOthers(used, edit->runs, batch.group);
-    if (heard && !of_others.empty()) {
-      const std::uint32_t begin = of_others.front();
-      throw BatchError(
-          "group is " + std::to_string(batch.group) + ", but slots " + std::to_string(begin) +
-          " to " + std::to_string(begin + SlotSet::kPage - 1) + " hold splats of group " +
-          std::to_string(block_groups_[begin / SlotSet::kPage]) + ": delete them first");
-    }
-    edit->sh_degree = std::min<int>(batch.sh_degree, most_sh_degree_);
-    makeRoom(batch, *edit);
-    if (batch.format == packed_rows::kFormat) {
-      kept = layOutRows(batch, edit->origin, *edit);
-    } else {
-      DecodedPayload decoded;
-      kept = layOut(decoded.decode(batch), edit->origin, *edit);
-    }
+  if (writes(batch)) {
+    of_others = blocksOfOthers(used, edit->runs, batch);
+    kept = layOutSplats(batch, next, *edit);
     report.dropped = static_cast<std::uint64_t>(std::count(kept.begin(), kept.end(), false));
-    if (batch.count > 0) {
-      next.channels = joined(std::move(next.channels), batch.channel_names);
-      layOutChannels(batch, kept, next.channels, *edit);
-    }
-    next.sh_degree = std::max(next.sh_degree, edit->sh_degree);
+    next.dropped += report.dropped;
     used.makeRoom(edit->runs);
-    for (const auto& [first, count] : edit->runs) {
-      next.capacity = std::max(next.capacity, first + count);
-    }
     const std::size_t blocks = (next.capacity + SlotSet::kPage - 1) / SlotSet::kPage;
     if (block_groups_.size() < blocks) block_groups_.resize(blocks);
   } else {
     edit->runs = used.within(edit->runs);
     kept.resize(countSlots(edit->runs), false);
   }
-  edit->round = next.round;
-  edit->revision = next.revision;
   edit->capacity = next.capacity;
-  next.missed += report.missed;
-  next.dropped += report.dropped;
 
   MapSample sample = edit->clear ? MapSample() : sample_;
-  std::vector<std::uint32_t> emptied;
-  emptied.reserve(of_others.size() * SlotSet::kPage);
-  std::vector<bool> before(kept.size());
+  SlotUse use(used, edit->runs, of_others.size() * SlotSet::kPage);
   for (const std::uint32_t block : of_others) {
     for (std::uint32_t slot = block; slot < block + SlotSet::kPage; ++slot) {
-      if (!used.set(slot, false)) continue;
-      emptied.push_back(slot);
+      if (!use.empty(slot)) continue;
       sample.drop(slot);
       --next.splats;
     }
   }
   std::size_t i = 0;
   forEachSlot(edit->runs, [&](std::uint32_t slot) {
-    before[i] = used.set(slot, kept[i]);
-    next.splats += int(kept[i]) - int(before[i]);
+    next.splats += int(kept[i]) - int(use.set(slot, kept[i]));
     if (kept[i]) {
       const std::uint32_t* const words = &edit->slots[kSlotWords * i];
       sample.keep(slot, {edit->position(i), largestScale(words), slotOpacity(words),
@@ -364,17 +358,11 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
     }
     ++i;
   });
-  try {
-    if (keep) keep(edit, next);
-  } catch (...) {
-    for (auto run = edit->runs.rbegin(); run != edit->runs.rend(); ++run) {
-      for (std::uint32_t k = run->second; k > 0; --k) used.set(run->first + k - 1, before[--i]);
-    }
-    for (const std::uint32_t slot : emptied) used.set(slot, true);
-    throw;
-  }
+  if (keep) keep(edit, next);
+
+  use.keep();
   if (edit->clear) used_ = std::move(fresh);
-  if (values) {
+  if (writes(batch)) {
     for (const auto& [first, count] : edit->runs) {
       for (std::uint32_t slot = first - first % SlotSet::kPage; slot < first + count;
            slot += SlotSet::kPage) {
@@ -392,6 +380,55 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   return edit;
 }
 
+bool GaussianMap::begins(const GaussianBatch& batch) const {
+  return batch.map_id != state_.id || batch.operation == GaussianBatch::REPLACE;
+}
+
+MapState GaussianMap::stateAfter(const GaussianBatch& batch, BatchReport& report) const {
+  const bool heard = batch.arrival == Arrival::kHeard, new_map = batch.map_id != state_.id;
+  const bool back = heard && !new_map && batch.revision <= state_.revision;
+  MapState next;
+  if (!begins(batch)) next = state_;
+  // A REPLACE needs none of the batches before it. A map that is played again, but not from its
+  // beginning, lacks all batches before.
+  if (back) next.revision = next.missed = 0;
+  if (heard && batch.operation != GaussianBatch::REPLACE) {
+    report.missed = batch.revision - next.revision - 1;
+  }
+  if (batch.arrival == Arrival::kLast) next.missed = begins(batch) ? 0 : lost_ - 1;
+  next.missed += report.missed;
+  if (!heard) next.pulled = batch.arrival == Arrival::kPulled;
+  next.id = batch.map_id;
+  next.round = state_.round + (new_map || back ? 1 : 0);
+  next.revision = batch.revision;
+  next.edits = state_.edits + 1;
+  next.expected = batch.expected_slots;
+  return next;
+}
+
+std::vector<bool> GaussianMap::layOutSplats(const GaussianBatch& batch, MapState& next,
+                                            GaussianEdit& edit) const {
+  if (batch.count > 0 && next.capacity == 0) next.antialiased = batch.antialiased;
+  edit.sh_degree = std::min<int>(batch.sh_degree, most_sh_degree_);
+  makeRoom(batch, edit);
+  std::vector<bool> kept;
+  if (batch.format == packed_rows::kFormat) {
+    kept = layOutRows(batch, edit.origin, edit);
+  } else {
+    DecodedPayload decoded;
+    kept = layOut(decoded.decode(batch), edit.origin, edit);
+  }
+  if (batch.count > 0) {
+    next.channels = joined(std::move(next.channels), batch.channel_names);
+    layOutChannels(batch, kept, next.channels, edit);
+  }
+  next.sh_degree = std::max(next.sh_degree, edit.sh_degree);
+  for (const auto& [first, count] : edit.runs) {
+    next.capacity = std::max(next.capacity, first + count);
+  }
+  return kept;
+}
+
 std::vector<std::array<double, 3>> GaussianMap::samplePositions() const {
   return look([](const MapState&, const MapSample& sample, const Groups& groups) {
     std::vector<std::array<double, 3>> positions;
@@ -404,18 +441,25 @@ std::vector<std::array<double, 3>> GaussianMap::samplePositions() const {
 }
 
 std::vector<std::uint32_t> GaussianMap::blocksOfOthers(const SlotSet& used, const SlotRuns& runs,
-                                                       std::uint32_t group) const {
+                                                       const GaussianBatch& batch) const {
   std::vector<std::uint32_t> blocks;
   for (const auto& [first, count] : runs) {
     for (std::uint32_t block = first / SlotSet::kPage; block * SlotSet::kPage < first + count;
          ++block) {
-      if (block < block_groups_.size() && block_groups_[block] != group && used.any(block)) {
+      if (block < block_groups_.size() && block_groups_[block] != batch.group && used.any(block)) {
         blocks.push_back(block * SlotSet::kPage);
       }
     }
   }
   std::sort(blocks.begin(), blocks.end());
   blocks.erase(std::unique(blocks.begin(), blocks.end()), blocks.end());
+  if (batch.arrival == Arrival::kHeard && !blocks.empty()) {
+    const std::uint32_t begin = blocks.front();
+    throw BatchError("group is " + std::to_string(batch.group) + ", but slots " +
+                     std::to_string(begin) + " to " + std::to_string(begin + SlotSet::kPage - 1) +
+                     " hold splats of group " +
+                     std::to_string(block_groups_[begin / SlotSet::kPage]) + ": delete them first");
+  }
   return blocks;
 }
 

@@ -156,9 +156,19 @@ class GaussianMap {
   bool inUse(std::uint32_t slot) const { return used_.has(slot); }
 
  private:
-  // First slots of those blocks touched by runs that hold splats of another group.
+  // Whether a batch begins the map anew.
+  bool begins(const GaussianBatch& batch) const;
+  // The state after a batch, but for its splats.
+  MapState stateAfter(const GaussianBatch& batch, BatchReport& report) const;
+  // First slots of those blocks touched by runs that hold splats of another group than the batch's.
+  // Throws BatchError for such a block, unless the batch was pulled: the block may then be newer
+  // than the batches after it. It is emptied, and a later one of these writes its splats again.
   std::vector<std::uint32_t> blocksOfOthers(const SlotSet& used, const SlotRuns& runs,
-                                            std::uint32_t group) const;
+                                            const GaussianBatch& batch) const;
+  // Lays out the splats of a batch in an edit that has its runs and origin, and takes them into a
+  // state. Returns which are valid.
+  std::vector<bool> layOutSplats(const GaussianBatch& batch, MapState& next,
+                                 GaussianEdit& edit) const;
 
   // Each copy of a map has its own locks.
   struct Locks {
