@@ -6,6 +6,7 @@ splats end where their alpha is 1/255, a pixel ends where less than 1e-4 of it i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -29,6 +30,12 @@ RenderSettings = _core.RenderSettings
 SplatCamera = _core.SplatCamera
 
 MOST_PSNR = 150.0  # of equal pictures, as JSON has no infinity [dB]
+
+
+def psnr_of(square: float) -> float:
+    """The PSNR of a mean square of errors, for a peak of 1. [dB]"""
+    return min(MOST_PSNR, -10 * math.log10(square)) if square > 0 else MOST_PSNR
+
 
 BATCH_BYTES = 8_000_000  # as in publishers' batches
 MAP = "map"

@@ -5,12 +5,13 @@ Pictures are (height, width, 3) arrays of display-encoded RGB, 0 to 1, as splats
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from skimage.metrics import structural_similarity
+
+from rosplat_core.rendering import psnr_of
 
 Image = NDArray[np.floating[Any]]
 Pixels = NDArray[np.float64]
@@ -31,10 +32,9 @@ def compare(test: Image, reference: Image) -> dict[str, float]:
 
 
 def psnr(test: Image, reference: Image) -> float:
-    """Peak signal-to-noise ratio over all pixels and channels, peak 1; inf if equal. [dB]"""
+    """Peak signal-to-noise ratio over all pixels and channels, peak 1. [dB]"""
     test, reference = _checked(test, reference)
-    error = float(np.mean((test - reference) ** 2))
-    return math.inf if error == 0 else -10 * math.log10(error)
+    return psnr_of(float(np.mean((test - reference) ** 2)))
 
 
 def ssim(test: Image, reference: Image) -> float:

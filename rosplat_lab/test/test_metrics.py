@@ -1,11 +1,11 @@
 """Metrics: known values, known limits, and pictures that can't be compared."""
 
-import math
 import sys
 
 import numpy as np
 import pytest
 
+from rosplat_core.rendering import MOST_PSNR
 from rosplat_lab.metrics import Image, compare, flip, psnr, ssim, worst
 
 
@@ -14,7 +14,7 @@ def picture() -> Image:
 
 
 def test_equal_pictures() -> None:
-    expected = {"psnr": math.inf, "ssim": pytest.approx(1), "flip": 0, "worst": 0}
+    expected = {"psnr": MOST_PSNR, "ssim": pytest.approx(1), "flip": 0, "worst": 0}
     assert compare(picture(), picture()) == expected
 
 
@@ -40,14 +40,14 @@ def test_the_worst_pixel_hides_in_no_mean() -> None:
 
 def test_without_flip_evaluator_the_rest_works(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
-    assert psnr(picture(), picture()) == math.inf
+    assert psnr(picture(), picture()) == MOST_PSNR
     with pytest.raises(RuntimeError, match="pip install flip-evaluator"):
         compare(picture(), picture())
 
 
 def test_what_a_screen_cannot_show_does_not_count() -> None:
     bright = np.full((16, 16, 3), 1.0)
-    assert compare(bright + 3, bright)["psnr"] == math.inf
+    assert compare(bright + 3, bright)["psnr"] == MOST_PSNR
     assert psnr(bright + 3, bright) < 0
 
 

@@ -13,7 +13,7 @@ from rosplat_core.depth import LEAST_ALPHA
 from rosplat_core.formats import SceneError, axes, format_of, gltf, streamed_sog
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
-from rosplat_core.rendering import MOST_PSNR, CpuRenderer, posed
+from rosplat_core.rendering import CpuRenderer, posed, psnr_of
 from rosplat_core.scenes import NAMES, is_generated, read_scene, vertical
 from rosplat_core.splats import Splats
 
@@ -96,8 +96,7 @@ def order_costs(splats: Splats, up: tuple[float, float, float]) -> list[float]:
         order = np.argsort(-np.linalg.norm(away, axis=1), kind="stable").astype(np.uint32)
         drawn = renderer.draw(posed(camera), order=order)["colour"], renderer.render(camera)
         ours, theirs = (picture[..., :3].clip(0, 1).astype(np.float64) for picture in drawn)
-        power = float(np.mean((ours - theirs) ** 2))
-        psnr.append(min(-10 * np.log10(power), MOST_PSNR) if power else MOST_PSNR)
+        psnr.append(psnr_of(float(np.mean((ours - theirs) ** 2))))
     return psnr
 
 

@@ -17,6 +17,7 @@ from rosplat_core.rendering import (
     edit,
     insert_all,
     posed,
+    psnr_of,
 )
 from rosplat_core.rendering import (
     Contributions as Sums,
@@ -65,7 +66,7 @@ class Quality:
     @classmethod
     def of(cls, errors: NDArray[np.float64]) -> Quality:
         """The quality for the mean square errors (n,) of views."""
-        return cls(_decibels(float(errors.mean())), _decibels(float(errors.max())))
+        return cls(psnr_of(float(errors.mean())), psnr_of(float(errors.max())))
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,7 @@ def learn(trial: Trial, places: Views, progress: Progress) -> Learnt:
             progress(f"finding what contributes in {views + more} views", number / more)
             errors = _look(trial, camera, sums)
         least = errors <= np.median(errors)
-        worst = _decibels(max(float(lost[least[slots]].sum()) for slots, lost in held) / VALUES)
+        worst = psnr_of(max(float(lost[least[slots]].sum()) for slots, lost in held) / VALUES)
         if learnt and worst < before + places.still:
             return learnt
         views, before = views + more, worst
@@ -235,7 +236,7 @@ class Simplification:
             count, before = self._most(pairs, bound, before)
             self._trial = None  # frees its memory
             self._merge(pairs, count)
-            if count < len(pairs) or _decibels(before) < bound + NEAR:
+            if count < len(pairs) or psnr_of(before) < bound + NEAR:
                 return
 
     def refine(
@@ -278,7 +279,7 @@ class Simplification:
             count = int(np.searchsorted(costs, (aim - self._offset) / self._slope))
             count = min(max(count, good + 1), bad - 1)
             found = self._look(pairs, count, bound)
-            psnr = _decibels(found)
+            psnr = psnr_of(found)
             if psnr < bound:
                 bad = count
             else:
@@ -334,7 +335,3 @@ class Simplification:
 
     def _merge(self, pairs: Pairs, count: int) -> None:
         self.splats, self._contributions = merge(self.splats, self._contributions, pairs, count)
-
-
-def _decibels(error: float) -> float:
-    return MOST_PSNR if error <= 0 else min(MOST_PSNR, -10 * math.log10(error))

@@ -121,7 +121,7 @@ def _scene(path: Path, budget: int, out: Path, quick: bool) -> Iterator[Event]:
 
 
 def _psnr(picture: NDArray[np.float32], truth: Array) -> float:
-    return min(metrics.psnr(np.clip(picture.astype(np.float64), 0, 1), truth), rendering.MOST_PSNR)
+    return metrics.psnr(np.clip(picture.astype(np.float64), 0, 1), truth)
 
 
 @dataclass(frozen=True)

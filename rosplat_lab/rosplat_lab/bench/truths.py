@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
 from rosplat_core.ordering import view_of
-from rosplat_core.rendering import MOST_PSNR
 from rosplat_core.splats import Splats
 from rosplat_core.view import SortView
 from rosplat_lab import metrics, reference
@@ -86,7 +85,7 @@ def middle(drawn: NDArray[np.floating]) -> NDArray[np.float32]:
 
 def psnr(drawn: NDArray[np.floating], truth: Truth) -> float:
     """PSNR of a picture, (height, width, 3) RGB, as a screen shows it. [dB]"""
-    return min(metrics.psnr(middle(drawn), np.clip(truth, 0, 1)), MOST_PSNR)
+    return metrics.psnr(middle(drawn), np.clip(truth, 0, 1))
 
 
 def seen(splats: Splats, camera: Camera, crop: Crop) -> NDArray[np.uint32]:

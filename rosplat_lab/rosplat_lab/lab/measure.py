@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rosplat_core.cameras import Camera
-from rosplat_core.rendering import MOST_PSNR
+from rosplat_core.rendering import psnr_of
 from rosplat_core.splats import Splats
 from rosplat_lab.bench import embedded, scenes, truths
 from rosplat_lab.bench.isolation import isolated
@@ -175,11 +175,11 @@ class Stage:
             if perf_counter() > warm:
                 for of_view, took in zip(times, cycle, strict=True):
                     of_view.append(took)
-        errors = [decibels(float(square.mean())) for square in squares]
+        errors = [psnr_of(float(square.mean())) for square in squares]
         measured.times.append(
             float(np.mean(first if slow else [np.median(of_view) for of_view in times]))
         )
-        measured.errors.append(decibels(float(np.mean(squares))))
+        measured.errors.append(psnr_of(float(np.mean(squares))))
         measured.facts = {
             "worst_view": min(errors), "worst_pixel": math.sqrt(max(s.max() for s in squares)),
             "drawn": drawn // len(told),
@@ -262,10 +262,10 @@ def _models(
             pairs = zip(drawn, told, strict=True)
             squares = [np.square(picture - np.clip(truth, 0, 1)) for picture, truth in pairs]
             save_strip(strip(strips, name, way.setting), drawn[0], told[0])
-            errors = [decibels(float(square.mean())) for square in squares]
+            errors = [psnr_of(float(square.mean())) for square in squares]
             worst = math.sqrt(max(float(s.max()) for s in squares))
             facts = {"worst_view": min(errors), "worst_pixel": worst, "drawn": len(splats)}
-            found = Measured(way, [], [decibels(float(np.mean(squares)))], facts)
+            found = Measured(way, [], [psnr_of(float(np.mean(squares)))], facts)
             yield from _measurements(name, len(splats), "NumPy", found)
 
 
@@ -291,12 +291,7 @@ def _moving(plan: Plan, name: str) -> Iterator[Event]:
         times = [float(np.median(m.samples)) for m in found["painting in motion"]]
         errors = [float(10 ** (-m.samples[0] / 10)) for m in found["PSNR in motion"]]
         yield Measurement.of(TIME, "ms", np.mean(times), **labels)
-        yield Measurement.of(ERROR, "dB", decibels(float(np.mean(errors))), **labels)
-
-
-def decibels(square: float) -> float:
-    """The PSNR of a mean square of errors. [dB]"""
-    return min(MOST_PSNR, -10 * math.log10(max(square, 1e-15)))
+        yield Measurement.of(ERROR, "dB", psnr_of(float(np.mean(errors))), **labels)
 
 
 # --- Small pictures -------------------------------------------------------------------------------

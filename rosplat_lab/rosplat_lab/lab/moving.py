@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera
+from rosplat_core.rendering import psnr_of
 from rosplat_lab.bench import embedded, scenes
 from rosplat_lab.bench.records import Event, Measurement
 
@@ -74,8 +75,7 @@ def in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Even
         ]
         labels: dict[str, Any] = {"view": motion, "detail": detail, "speed": SPEED}
         of = (name, len(splats), renderer.renderer_info)
-        psnr = -10 * np.log10(max(np.mean(errors), 1e-12))
-        yield Measurement.of("PSNR in motion", "dB", psnr, *of, **labels)
+        yield Measurement.of("PSNR in motion", "dB", psnr_of(float(np.mean(errors))), *of, **labels)
         painting = [1e3 * report["paint_time"] for *_, report in frames]
         yield Measurement.of("painting in motion", "ms", painting, *of, **labels)
         del renderer, view  # while its display is there

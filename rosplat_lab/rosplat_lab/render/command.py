@@ -30,7 +30,6 @@ from tqdm import tqdm
 from rosplat_core.cameras import Camera, load_cameras
 from rosplat_core.program.files import replacing, write_text
 from rosplat_core.program.output import say, told
-from rosplat_core.rendering import MOST_PSNR
 from rosplat_core.scenes import NAMES, check_scene
 from rosplat_core.splats import SceneError
 from rosplat_lab.arguments import make_folder
@@ -343,8 +342,5 @@ def main(arguments: list[str] | None = None) -> int:
 
 def write_report(path: Path, settings: dict[str, object], rows: Sequence[dict[str, Any]]) -> None:
     """Writes what drew under which settings, and a row for each camera, as JSON."""
-    cameras = [
-        row | {"psnr": min(row["psnr"], MOST_PSNR)} if "psnr" in row else row for row in rows
-    ]
-    report = settings | {"machine": machine(), "commit": commit(), "cameras": cameras}
+    report = settings | {"machine": machine(), "commit": commit(), "cameras": list(rows)}
     write_text(path, json.dumps(report, indent=1, allow_nan=False) + "\n")

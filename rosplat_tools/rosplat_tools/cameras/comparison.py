@@ -6,14 +6,13 @@ pixels that count.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from rosplat_core.rendering import MOST_PSNR
+from rosplat_core.rendering import psnr_of
 
 Picture = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -93,8 +92,7 @@ def figures(rendered: Picture, real: Picture, mask: Mask) -> Figures:
     if not mask.any():
         raise ValueError("the mask leaves no pixel")
     rms = errors(rendered, real)[mask].astype(np.float64)
-    power = float(np.mean(rms**2))
-    psnr = MOST_PSNR if power == 0 else min(-10 * math.log10(power), MOST_PSNR)
+    psnr = psnr_of(float(np.mean(rms**2)))
     return Figures(psnr, _ssim(rendered, real, mask), float(np.mean(rms <= EXPLAINED_WITHIN)))
 
 
