@@ -168,7 +168,7 @@ class Publisher:
             self.map.erase_from(message.first_slot, message.count, None)
         else:
             if message.operation == GaussianArray.REPLACE:
-                self.map.replace(Raw(NO_SPLATS), False, None, None)
+                self.map.replace(Raw(NO_SPLATS), None, None)
             named = slots if len(slots) else message.first_slot
             self.map.upsert(named, Raw(message), message.group, None)
         return self._left_out

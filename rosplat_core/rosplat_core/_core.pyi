@@ -153,11 +153,6 @@ class PublishedBatch:
     payload: NDArray[np.uint8]
     antialiased: bool
     origin: list[float]
-    positions: NDArray[np.float32]
-    orientations: NDArray[np.float32]
-    scales: NDArray[np.float32]
-    opacities: NDArray[np.float32]
-    sh: NDArray[np.float32]
     channel_names: list[str]
     channels: NDArray[np.float32]
 
@@ -179,12 +174,16 @@ class PublishedMap:
     ) -> list[tuple[int, list[float] | None, NDArray[np.uint32], dict[str, Any]]]: ...
     def poses(self) -> dict[int, list[float]]: ...
     def replace(
-        self, splats: Splats | PackedSplats, shared: bool, expected_slots: int | None, stamp: _Stamp
+        self, splats: Splats | PackedSplats, expected_slots: int | None, stamp: _Stamp
     ) -> None: ...
     def repeat(self) -> None: ...
     def expect(self, slots: int) -> None: ...
     def upsert(
-        self, slots: int | NDArray[np.uint32], splats: Splats, group: int, stamp: _Stamp
+        self,
+        slots: int | NDArray[np.uint32],
+        splats: Splats | PackedSplats,
+        group: int,
+        stamp: _Stamp,
     ) -> None: ...
     def erase(self, slots: NDArray[np.uint32], stamp: _Stamp) -> None: ...
     def erase_from(self, first_slot: int, count: int, stamp: _Stamp) -> None: ...

@@ -48,6 +48,8 @@ _Time = tuple[int, int]
 class MapPublisher:
     """Owns the topic of one map: a map_id, its revisions, and a copy of the map by slot.
 
+    The copy is packed as displays hold splats, 100 bytes each at degree 3, and so are messages.
+
     A batch is sent as soon as it is made; the publisher waits for nobody. A receiver that joins
     late or misses batches pulls what has changed since its last revision from the service
     <topic>/pull. A thread with a hidden node of its own answers pulls, so the node needn't be
@@ -170,25 +172,21 @@ class MapPublisher:
         expected_slots: int | None = None,
         stamp: Time | None = None,
         progress: Progress | None = None,
-        shared: bool = False,
     ) -> None:
         """Makes splats the map, in slots 0 to n - 1 and group 0, and forgets the poses of groups.
 
         expected_slots: how many slots the finished map will need, by default n without the splats
-        that are left out. stamp: time of the map, by default now. shared: the map uses the splats'
-        own arrays instead of a copy, and makes them read-only. Raises ValueError if splats or
+        that are left out. stamp: time of the map, by default now. The map uses the rows of
+        PackedSplats in place, and makes them read-only. Raises ValueError if splats or
         expected_slots exceed MAX_SLOTS. If sending fails, the previous map stays and is sent again.
         """
-        if isinstance(splats, PackedSplats):
-            shared = True  # a copy would unpack them into floats
-        else:
-            _check_type(splats)
+        _check_type(splats)
         if expected_slots is not None:
             expected_slots = _whole("expected_slots", expected_slots, GaussianArray.MAX_SLOTS)
         when = _checked_stamp(stamp)
         with self._wire.replacing(progress):
-            self._map.replace(splats, shared, expected_slots, when)
-        if shared:
+            self._map.replace(splats, expected_slots, when)
+        if isinstance(splats, PackedSplats):
             for array in splats.arrays:
                 array.flags.writeable = False
 
@@ -210,7 +208,7 @@ class MapPublisher:
     def upsert(
         self,
         slots: range | ArrayLike,
-        splats: Splats,
+        splats: Splats | PackedSplats,
         *,
         group: int = 0,
         stamp: Time | None = None,
@@ -412,11 +410,6 @@ def as_message(batch: PublishedBatch, header: Header) -> GaussianArray:
         payload=as_array("B", batch.payload),
         antialiased=batch.antialiased,
         origin=Point(x=x, y=y, z=z),
-        positions=as_array("f", batch.positions),
-        orientations=as_array("f", batch.orientations),
-        scales=as_array("f", batch.scales),
-        opacities=as_array("f", batch.opacities),
-        sh=as_array("f", batch.sh),
         channel_names=batch.channel_names,
         channels=as_array("f", batch.channels),
     )
@@ -457,10 +450,10 @@ def _whole(name: str, number: int, most: int) -> int:
     return int(number)
 
 
-def _check_type(splats: Splats) -> None:
-    if not isinstance(splats, Splats):
+def _check_type(splats: Splats | PackedSplats) -> None:
+    if not isinstance(splats, Splats | PackedSplats):
         kind = type(splats).__name__
-        raise TypeError(f"splats: expected Splats, got {kind}; scenes.load_scene reads a file")
+        raise TypeError(f"splats: expected Splats, got {kind}; rosplat_core.load reads a file")
 
 
 def _checked_stamp(stamp: Time | None) -> _Time | None:

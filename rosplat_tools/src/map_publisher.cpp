@@ -60,14 +60,8 @@ Message messageOf(PublishedMap::Batch&& batch, const std::string& frame_id, rclc
   message.sh_degree = static_cast<std::uint8_t>(batch.sh_degree);
   message.format = std::move(batch.format);
   message.payload.assign(batch.payload.begin(), batch.payload.end());
-  Splats& splats = batch.splats;
-  message.antialiased = splats.antialiased;
-  std::tie(message.origin.x, message.origin.y, message.origin.z) = std::tuple_cat(splats.origin);
-  message.positions = std::move(splats.positions);
-  message.orientations = std::move(splats.orientations);
-  message.scales = std::move(splats.scales);
-  message.opacities = std::move(splats.opacities);
-  message.sh = std::move(splats.sh);
+  message.antialiased = batch.antialiased;
+  std::tie(message.origin.x, message.origin.y, message.origin.z) = std::tuple_cat(batch.origin);
   message.channel_names = std::move(batch.channel_names);
   message.channels = std::move(batch.channels);
   return message;

@@ -41,7 +41,7 @@ def batches(splats: Splats) -> list[Any]:
     """As a publisher would send them."""
     sent: list[Any] = []
     published = PublishedMap(100_000, "none", sent.append, lambda text: None, lambda: None)
-    published.replace(splats, False, None, None)
+    published.replace(splats, None, None)
     return [as_message(batch, Header(frame_id="map")) for batch in sent]
 
 

@@ -26,16 +26,16 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 
-from rosplat_core import formats, payload
+from rosplat_core import _core, formats, payload
 from rosplat_core.formats import IntoPacked
 from rosplat_core.scenes import load_scene_into
-from rosplat_core.splats import Splats
+from rosplat_core.splats import PackedSplats, Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
 from rosplat_sorter.batches import array_bytes
 from rosplat_sorter.qos import MAP_VOLATILE, PULLED_MAP
 from rosplat_testing import PATIENCE, Listener
-from rosplat_testing.messages import chunks
+from rosplat_testing.messages import chunks, decode
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
 from rosplat_tools.poses import to_pose
 from rosplat_tools.program.running import Cancelled
@@ -87,6 +87,12 @@ def assert_same_map(received: Received, publisher: MapPublisher) -> None:
         np.testing.assert_array_equal(received[name], getattr(splats, name))
 
 
+def packed(splats: Splats) -> PackedSplats:
+    rows = _core.pack_splats(splats, np.ones(len(splats), bool))
+    of_all = splats.origin, splats.antialiased, splats.channels
+    return PackedSplats(rows, splats.sh_degree, *of_all)
+
+
 def edit(publisher: MapPublisher, random_splats: Maker, times: int) -> None:
     """Grows, moves and prunes."""
     rng = np.random.default_rng(times)
@@ -100,7 +106,7 @@ def edit(publisher: MapPublisher, random_splats: Maker, times: int) -> None:
 def test_subscribers_of_any_time_rebuild_the_map(
     node: Node, random_splats: Maker, tmp_path: Path
 ) -> None:
-    publisher = MapPublisher(node, chunk_bytes=50_000)
+    publisher = MapPublisher(node, chunk_bytes=20_000)
     last = 1 + 8 + 3 * 10  # an empty REPLACE, 1500 splats in chunks, edits
     with receiver(node, last, tmp_path / "early.npz") as early:
         publisher.replace(random_splats(0))
@@ -219,7 +225,7 @@ def test_what_groups_don_t_allow_is_refused_and_not_sent(node: Node, random_spla
 
 def test_who_joins_late_pulls_the_map(node: Node, random_splats: Maker, tmp_path: Path) -> None:
     """In several answers, all of one revision."""
-    publisher = MapPublisher(node, chunk_bytes=300_000)
+    publisher = MapPublisher(node, chunk_bytes=100_000)
     publisher.replace(random_splats(3000))
     edit(publisher, random_splats, 10)
     publisher.move({0: np.eye(4)})
@@ -314,7 +320,8 @@ def test_harmonics_that_nobody_wants_are_not_pulled(
     response = listener.call(PullMap, "gaussians/pull", most_sh_degree=1)
     last = response.batches[-1]
     assert (last.count, last.sh_degree) == (1000, 1)
-    np.testing.assert_array_equal(np.reshape(last.sh, (-1, 4, 3)), splats.sh[:, :4])
+    _, pulled = decode(last)
+    np.testing.assert_allclose(pulled.sh, splats.sh[:, :4], atol=np.abs(splats.sh).max() / 500)
 
 
 def pulled_bytes(listener: Listener, publisher: MapPublisher, after: int) -> list[int]:
@@ -362,8 +369,8 @@ def test_batches_stay_below_their_size(
             sent.append(message)
 
     monkeypatch.setattr(type(publisher._wire._publisher), "publish", keep)
-    every_other = np.arange(0, 300_000, 2)
-    publisher.upsert(every_other, random_splats(150_000, 0))
+    every_other = np.arange(0, 600_000, 2)
+    publisher.upsert(every_other, random_splats(300_000, 0))
     publisher.delete(np.arange(0, 10_000_000, 2))
     publisher.delete(range(1, 20_000_000))
     assert [batch.operation for batch in sent] == [0, 1, 2, 2, 2, 2]
@@ -375,7 +382,7 @@ def test_batches_stay_below_their_size(
 def test_a_pull_doesn_t_wait_for_a_map_that_is_being_sent(
     node: Node, random_splats: Maker, listener: Listener
 ) -> None:
-    publisher = MapPublisher(node, chunk_bytes=50_000)
+    publisher = MapPublisher(node, chunk_bytes=20_000)
     answers: list[PullMap.Response] = []
 
     def ask(_: int) -> None:  # the parts that are still to go are pulled as well
@@ -556,7 +563,7 @@ def test_a_stray_splat_is_not_compressed(
     publisher.replace(splats)
     listener.wait_for(3000)
     (batch,) = listener.batches
-    assert (batch.format, len(batch.payload)) == ("", 0)
+    assert batch.format == payload.PACKED
 
 
 def test_arguments_may_be_of_many_kinds_but_not_of_all(node: Node, random_splats: Maker) -> None:
@@ -681,7 +688,7 @@ def test_a_recorder_that_is_slow_misses_nothing_of_a_repeat(
     node: Node, random_splats: Maker
 ) -> None:
     """A publisher keeps eight batches: it waits for who listens. Others at the map don't wait."""
-    publisher = MapPublisher(node, chunk_bytes=100_000)
+    publisher = MapPublisher(node, chunk_bytes=40_000)
     publisher.replace(random_splats(20_000, 3))
     parts, last = publisher.revision, 2 * publisher.revision + 1
     assert parts > 40
@@ -711,10 +718,10 @@ def test_a_recorder_that_is_slow_misses_nothing_of_a_repeat(
 
 
 def test_a_publisher_ends_with_its_block(node: Node, random_splats: Maker) -> None:
-    splats = random_splats(10)
+    splats = packed(random_splats(10))
     with MapPublisher(node) as publisher:
-        publisher.replace(splats, shared=True)
-        kept = weakref.ref(splats.sh)
+        publisher.replace(splats)
+        kept = weakref.ref(splats.rows)
     assert node.count_publishers("gaussians") == 0
     topic = node.resolve_topic_name("gaussians")
     assert topic not in {thread.name for thread in threading.enumerate()}
@@ -744,22 +751,22 @@ def test_a_map_is_not_pulled_once_its_node_is_destroyed(node: Node, random_splat
     publisher.close()
 
 
-def test_a_map_may_go_on_in_its_author_s_arrays(node: Node, random_splats: Maker) -> None:
-    splats = random_splats(3000)
-    splats = replace(splats, channels={"label": np.arange(3000)})
+def test_a_map_may_go_on_in_its_author_s_rows(node: Node, random_splats: Maker) -> None:
+    splats = packed(replace(random_splats(3000), channels={"label": np.arange(3000)}))
     publisher = MapPublisher(node)
-    publisher.replace(splats, shared=True)
+    publisher.replace(splats)
     with pytest.raises(ValueError, match="read-only"):
-        splats.positions[0] = 0
-    other = random_splats(2, 0, seed=1)
+        splats.rows[0] = 0
+    _, before = publisher.snapshot()
+    other = packed(random_splats(2, 0, seed=1))
     publisher.upsert([5, 2999], other)
     publisher.delete(range(7, 10))
     slots, held = publisher.snapshot()
     kept = np.delete(np.arange(3000), [7, 8, 9])
     np.testing.assert_array_equal(slots, kept)
-    expected = splats.sh.copy()
+    expected = before.sh.copy()
     expected[[5, 2999]] = 0
-    expected[[5, 2999], :1] = other.sh
+    expected[[5, 2999], 0] = other.rows[:, 7:].astype("<u4").view(np.float16)[:, :3]
     np.testing.assert_array_equal(held.sh, expected[kept])
     np.testing.assert_array_equal(held.channels["label"][5:8], [np.nan, 6, 10])
 
@@ -767,7 +774,7 @@ def test_a_map_may_go_on_in_its_author_s_arrays(node: Node, random_splats: Maker
 def test_a_packed_map_travels_as_it_is(
     node: Node, listener: Any, random_splats: Maker, tmp_path: Path
 ) -> None:
-    """But for a page that was written to since, which goes as floats."""
+    """So does a page that was written to since."""
     splats = random_splats(3000, 3)
     splats = replace(splats, origin=np.array([5e5, 0, 0]), channels={"label": np.arange(3000)})
     formats.save(tmp_path / "scene.ply", splats)
@@ -782,14 +789,15 @@ def test_a_packed_map_travels_as_it_is(
     assert np.ptp(packed.channels["label"][:10]) > 9  # in the order of slots
 
     rest = np.arange(3000) != 5
-    publisher.upsert([5], splats[:1])  # its page goes on as floats
+    publisher.upsert([5], splats[:1])
     slots, held = publisher.snapshot()
     assert slots == range(3000)
-    np.testing.assert_array_equal(held.sh[5], splats.sh[0])
+    np.testing.assert_array_equal(held.positions[5], splats.positions[0])
     np.testing.assert_array_equal(held.sh[rest], heard.sh[rest])
-    _, arrays, rows = publisher._map.pull("", 0, 0, 3)[0]  # after the REPLACE
-    np.testing.assert_array_equal(arrays.sh, held.sh[:1024].ravel())
-    assert rows.payload.tobytes() == packed.rows[1024:].tobytes()
+    _, pulled = publisher._map.pull("", 0, 0, 3)[0]  # after the REPLACE
+    expected = packed.rows.copy()
+    expected[5] = _core.pack_splats(splats[:1], np.ones(1, bool))
+    assert pulled.payload.tobytes() == expected.tobytes()
 
 
 def test_progress_may_look_at_the_map(node: Node, random_splats: Maker) -> None:
@@ -848,12 +856,12 @@ def test_diagnostics_tell_of_the_map_though_nobody_spins_its_node(
         values = last(DiagnosticStatus.OK)
         assert (values["Splats"], values["Map"]) == ("100", publisher.map_id)
         assert int(values["Revision"]) == publisher.revision
-        assert int(values["Bytes sent"]) == 100 * 56
+        assert int(values["Bytes sent"]) == 100 * 36
         assert (values["Subscribers"], values["Pulls answered"]) == ("0", "0")
         Listener(other).wait_for(100)  # which pulls
         values = last(DiagnosticStatus.OK)
         assert (values["Subscribers"], values["Pulls answered"]) == ("1", "1")
-        assert int(values["Bytes sent"]) == 2 * 100 * 56
+        assert int(values["Bytes sent"]) == 2 * 100 * 36
         rival = other.create_publisher(GaussianArray, "gaussians", 1)
         last(DiagnosticStatus.WARN)
         other.destroy_publisher(rival)

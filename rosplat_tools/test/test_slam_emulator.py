@@ -11,6 +11,7 @@ import pytest
 from rosplat_core import formats
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
+from rosplat_testing.messages import as_held
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -29,7 +30,7 @@ def test_the_map_grows_is_edited_and_ends_as_the_scene(
     assert {batch.expected_slots for batch in listener.batches} == {3050}
 
     _, splats = listener.map.snapshot()
-    scene = formats.load(path)
+    scene = as_held(formats.load(path))
     mine, its = np.lexsort(splats.positions.T), np.lexsort(scene.positions.T)
     for name in ("positions", "orientations", "scales", "opacities", "sh"):
         np.testing.assert_array_equal(getattr(splats, name)[mine], getattr(scene, name)[its])

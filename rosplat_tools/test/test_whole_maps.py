@@ -10,6 +10,7 @@ from rclpy.node import Node
 
 from rosplat_core.slot_order import slot_order
 from rosplat_core.splats import Splats, concatenate
+from rosplat_testing.messages import as_held
 from rosplat_tools.following.whole_maps import WholeMaps
 from rosplat_tools.map_publisher import MapPublisher
 
@@ -40,7 +41,7 @@ def test_only_what_differs_is_sent(maps: WholeMaps, listener: Any) -> None:
     grown = concatenate([replace(first, sh=sh), random_splats(200, 2, seed=1)])
     assert maps.show(grown) == 202
     listener.wait_for(1200)
-    assert contents(listener.map.snapshot()[1]) == contents(grown)
+    assert contents(listener.map.snapshot()[1]) == contents(as_held(grown))
 
 
 def test_a_value_of_a_channel_is_a_difference(maps: WholeMaps, listener: Any) -> None:
@@ -104,13 +105,13 @@ def test_what_keeps_its_id_keeps_its_slot(
         assert all(now[i] == slot_of[i] for i in before.tolist())
         assert max(now.values()) < 500  # free slots are taken again
     listener.wait(lambda: listener.batches and listener.batches[-1].revision == publisher.revision)
-    assert contents(listener.map.snapshot()[1]) == contents(splats)
+    assert contents(listener.map.snapshot()[1]) == contents(as_held(splats))
 
 
 def slots_of(publisher: MapPublisher, splats: Splats, ids: Any) -> dict[int, int]:
     slots, held = publisher.snapshot()
-    by_opacity = dict(zip(held.opacities.tolist(), list(slots), strict=True))
-    return {int(i): by_opacity[o] for i, o in zip(ids, splats.opacities.tolist(), strict=True)}
+    by_place = dict(zip(map(tuple, held.positions), list(slots), strict=True))
+    return {int(i): by_place[p] for i, p in zip(ids, map(tuple, splats.positions), strict=True)}
 
 
 def test_rows_without_ids_that_moved_are_a_new_map(maps: WholeMaps, listener: Any) -> None:
@@ -120,7 +121,7 @@ def test_rows_without_ids_that_moved_are_a_new_map(maps: WholeMaps, listener: An
     assert maps.show(first[::-1]) == 1000
     assert maps.show(replace(first, antialiased=True)) == 1000
     listener.wait(lambda: listener.map and listener.map.snapshot()[1].antialiased)
-    assert contents(listener.map.snapshot()[1]) == contents(first)
+    assert contents(listener.map.snapshot()[1]) == contents(as_held(first))
 
 
 def test_what_was_written_into_the_same_arrays_is_sent(maps: WholeMaps) -> None:

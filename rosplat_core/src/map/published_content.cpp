@@ -49,8 +49,7 @@ std::vector<std::string> channelsOf(std::vector<std::string> known, const Splats
 
 PublishedContent::PublishedContent(const SplatsView& splats,
                                    const std::shared_ptr<const void>& keeper)
-    : channels_(channelsOf({}, splats)),
-      sh_degree_(splats.rows ? splats.arrays.sh_degree : withoutEmptyBands(splats.arrays)) {
+    : channels_(channelsOf({}, splats)), sh_degree_(splats.arrays.sh_degree) {
   if (splats.arrays.count == 0) return;
   antialiased_ = splats.antialiased;
   groups_[0].origin = splats.origin;
@@ -61,11 +60,9 @@ PublishedContent::PublishedContent(const SplatsView& splats,
   }
 }
 
-std::size_t PublishedContent::splatBytes(int sh_degree, std::size_t channel_count, bool listed,
-                                         bool packed) {
-  return (packed ? packed_rows::size(1, sh_degree)
-                 : sizeof(float) * (11 + harmonicsOf(sh_degree))) +
-         sizeof(float) * channel_count + (listed ? sizeof(std::uint32_t) : 0);
+std::size_t PublishedContent::splatBytes(int sh_degree, std::size_t channel_count, bool listed) {
+  return packed_rows::size(1, sh_degree) + sizeof(float) * channel_count +
+         (listed ? sizeof(std::uint32_t) : 0);
 }
 
 // --- Edits ---------------------------------------------------------------------------------------
@@ -74,7 +71,7 @@ PublishedContent::Plan PublishedContent::prepareWrite(const NamedSlots& slots,
                                                       const SplatsView& splats,
                                                       std::uint32_t group) {
   Plan plan;
-  plan.sh_degree = withoutEmptyBands(splats.arrays);
+  plan.sh_degree = splats.rows ? splats.arrays.sh_degree : withoutEmptyBands(splats.arrays);
   plan.channels = channelsOf(channels_, splats);
   for (const auto& [name, values] : splats.channels) {
     const auto place = std::find(plan.channels.begin(), plan.channels.end(), name);
@@ -123,32 +120,25 @@ std::size_t PublishedContent::write(const NamedSlots& slots, const SplatsView& s
     page.written = revision;
     if (count == kPageSlots) page.changed.fill(revision);
   }
-  const SplatArrays<const float>& from = splats.arrays;
+  std::array<double, 3> shift;
+  for (std::size_t k = 0; k < 3; ++k) shift[k] = splats.origin[k] - (*origin)[k];
   std::size_t left_out = 0;
   std::uint32_t number = kMaxSlots;
   Page* page = nullptr;
   for (std::size_t i = 0; i < slots.size(); ++i) {
     if (number != slots[i] / kPageSlots) page = &pages_[number = slots[i] / kPageSlots];
     const std::size_t at = slots[i] % kPageSlots;
-    const SplatArrays<float> to = page->splats.own();
-    float* const position = to.positions + 3 * at;
-    for (int k = 0; k < 3; ++k) {
-      const double shift = splats.origin[k] - (*origin)[k];
-      position[k] = shift == 0 ? from.positions[3 * i + k]
-                               : static_cast<float>(from.positions[3 * i + k] + shift);
+    std::array<float, 3> position = splats.position(i);
+    for (std::size_t k = 0; k < 3; ++k) {
+      if (shift[k] != 0) position[k] = static_cast<float>(position[k] + shift[k]);
     }
-    std::copy_n(from.orientations + 4 * i, 4, to.orientations + 4 * at);
-    std::copy_n(from.scales + 3 * i, 3, to.scales + 3 * at);
-    to.opacities[at] = from.opacities[i];
-    copyHarmonics(from.sh + from.shStride() * i, from.sh_degree, to.sh + to.shStride() * at,
-                  to.sh_degree);
     for (std::size_t k = 0; k < channels_.size(); ++k) {
       if (float* const values = page->splats.ownChannel(k)) values[at] = kNoValue;
     }
     for (std::size_t k = 0; k < plan.places.size(); ++k) {
       page->splats.ownChannel(plan.places[k])[at] = splats.channels[k].second[i];
     }
-    const bool usable = isUsable(from, i, position);
+    const bool usable = page->splats.write(at, splats, i, position);
     left_out += !usable;
     used_ += usable;
     used_ -= page->used[at];
@@ -217,7 +207,8 @@ std::vector<PublishedMap::Group> PublishedContent::groups() const {
       group.pose = found->second.pose;
     }
     const NamedSlots named(slots.data(), slots.size());
-    readFrame(named, group.splats);
+    group.splats.origin = originOf(number);
+    group.splats.antialiased = antialiased();
     read(named, sh_degree_, group.splats);
     const std::vector<float> values = readChannels(named, channels_);
     auto first = values.begin();
@@ -262,16 +253,13 @@ void PublishedContent::read(const NamedSlots& slots, int sh_degree, Splats& spla
   });
 }
 
-bool PublishedContent::readRows(const NamedSlots& slots, int sh_degree,
-                                std::vector<std::uint8_t>& payload) const {
+std::vector<std::uint8_t> PublishedContent::readRows(const NamedSlots& slots, int sh_degree) const {
   const std::size_t bytes = packed_rows::size(1, sh_degree);
-  payload.resize(bytes * slots.size());
-  bool packed = slots.size() > 0;
+  std::vector<std::uint8_t> rows(bytes * slots.size());
   forEach(slots, [&](const Page& page, std::size_t at, std::size_t i) {
-    packed = packed && page.splats.readRow(at, sh_degree, payload.data() + bytes * i);
+    page.splats.readRow(at, sh_degree, rows.data() + bytes * i);
   });
-  if (!packed) payload = {};
-  return packed;
+  return rows;
 }
 
 std::vector<float> PublishedContent::readChannels(const NamedSlots& slots,
@@ -288,11 +276,10 @@ std::vector<float> PublishedContent::readChannels(const NamedSlots& slots,
   return values;
 }
 
-void PublishedContent::readFrame(const NamedSlots& slots, Splats& splats) const {
-  splats.antialiased = antialiased();
-  if (slots.empty()) return;
-  const auto& origin = groups_.at(pages_.at(slots[0] / kPageSlots).group).origin;
-  if (origin) splats.origin = *origin;
+std::array<double, 3> PublishedContent::originOf(std::uint32_t group) const {
+  const auto found = groups_.find(group);
+  return found == groups_.end() ? std::array<double, 3>{}
+                                : found->second.origin.value_or(std::array<double, 3>{});
 }
 
 // --- Changes -------------------------------------------------------------------------------------
@@ -321,7 +308,6 @@ PublishedContent::BlockChanges PublishedContent::changesOf(std::uint32_t block, 
   if (found == pages_.end() || (after > 0 && found->second.written <= after)) return changes;
   const Page& page = found->second;
   changes.group = page.group;
-  changes.packed = page.splats.packed();
   place(page.group);
   for (std::uint32_t i = 0; i < kPageSlots; ++i) {
     const bool changed = after == 0 || page.changed[i] > after;
@@ -343,14 +329,13 @@ PublishedContent::Changes PublishedContent::changes(std::uint64_t after, std::ui
   bool begun = false;
   for (auto block = blockFrom(first_block); block; block = blockFrom(*block + 1)) {
     BlockChanges of_block = changesOf(*block, after, changes.poses);
-    const std::pair kind(of_block.group, of_block.packed && limits.rows);
-    const std::size_t splat_bytes =
-        splatBytes(limits.sh_degree, channels_.size(), true, kind.second);
+    const std::size_t splat_bytes = splatBytes(limits.sh_degree, channels_.size(), true);
     std::size_t more = kPlacementBytes * of_block.placed.size() +
                        sizeof(std::uint32_t) * of_block.emptied.size() +
                        splat_bytes * of_block.written.size();
     if (more == 0) continue;
-    if (!of_block.written.empty() && changes.written.count(kind) == 0) more += kBatchBytes + names;
+    if (!of_block.written.empty() && changes.written.count(of_block.group) == 0)
+      more += kBatchBytes + names;
     if (begun && bytes + more > limits.bytes) {
       changes.next_block = *block;
       break;
@@ -362,7 +347,7 @@ PublishedContent::Changes PublishedContent::changes(std::uint64_t after, std::ui
       to.insert(to.end(), from.begin(), from.end());
     };
     append(of_block.emptied, changes.emptied);
-    if (!of_block.written.empty()) append(of_block.written, changes.written[kind]);
+    if (!of_block.written.empty()) append(of_block.written, changes.written[of_block.group]);
   }
   return changes;
 }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <bitset>
 #include <cstddef>
 #include <cstdint>
@@ -7,7 +8,6 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "map/named_slots.hpp"
@@ -35,29 +35,27 @@ class PublishedContent {
   struct Limits {
     std::size_t bytes;
     int sh_degree;
-    bool rows;  // packed slots are sent as rows
   };
   // What has changed since a revision. At least one block of it, whatever the limits.
   struct Changes {
     Poses poses;
     Slots emptied;
-    std::map<std::pair<std::uint32_t, bool>, Slots> written;  // by group, and whether packed
-    std::uint32_t next_block = 0;                             // 0: that was all
+    std::map<std::uint32_t, Slots> written;  // by group
+    std::uint32_t next_block = 0;            // 0: that was all
   };
 
   std::uint32_t expected_slots = 0;  // of the finished map; 0: unknown
 
   PublishedContent() = default;
-  // The splats stay in their keeper's memory, in slots from 0 on.
+  // Packed splats, which stay in their keeper's memory, in slots from 0 on.
   PublishedContent(const SplatsView& splats, const std::shared_ptr<const void>& keeper);
 
   std::size_t used() const { return used_; }
   int shDegree() const { return sh_degree_; }
   bool antialiased() const { return antialiased_.value_or(false); }
   const std::vector<std::string>& channels() const { return channels_; }
-  // Size of a splat in a message. listed: with the slot's number. packed: as a packed row. [bytes]
-  static std::size_t splatBytes(int sh_degree, std::size_t channel_count, bool listed,
-                                bool packed = false);
+  // Size of a splat in a message. listed: with the slot's number. [bytes]
+  static std::size_t splatBytes(int sh_degree, std::size_t channel_count, bool listed);
 
   // --- Edits ---
   // Each is checked, and its memory allocated, by a call of its own: the edit itself doesn't throw.
@@ -79,13 +77,13 @@ class PublishedContent {
   Poses placedAfter(std::uint64_t revision) const;
   // Fills arrays with the splats of slots.
   void read(const NamedSlots& slots, int sh_degree, Splats& splats) const;
-  // Fills a payload with the packed rows of slots. Returns false if not all slots are packed.
-  bool readRows(const NamedSlots& slots, int sh_degree, std::vector<std::uint8_t>& payload) const;
+  // The packed rows of slots.
+  std::vector<std::uint8_t> readRows(const NamedSlots& slots, int sh_degree) const;
   // The slots' values of some of the map's channels, channel by channel.
   std::vector<float> readChannels(const NamedSlots& slots,
                                   const std::vector<std::string>& channels) const;
-  // Sets the origin of slots, all of one group, and `antialiased`.
-  void readFrame(const NamedSlots& slots, Splats& splats) const;
+  // The origin of a group's splats.
+  std::array<double, 3> originOf(std::uint32_t group) const;
   // What has changed after a revision, from first_block on; after revision 0: everything.
   Changes changes(std::uint64_t after, std::uint32_t first_block, const Limits& limits) const;
 
@@ -115,7 +113,6 @@ class PublishedContent {
     Poses placed;
     Slots emptied, written;
     std::uint32_t group = 0;
-    bool packed = false;
   };
 
   std::optional<std::uint32_t> blockFrom(std::uint32_t first) const;

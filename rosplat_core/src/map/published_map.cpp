@@ -111,12 +111,6 @@ void PublishedMap::replace(const Splats& splats, std::optional<std::uint32_t> ex
   replace(splats.view(), nullptr, expected_slots, stamp);
 }
 
-void PublishedMap::replace(Splats&& splats, std::optional<std::uint32_t> expected_slots,
-                           const When& stamp) {
-  const auto kept = std::make_shared<const Splats>(std::move(splats));
-  replace(kept->view(), kept, expected_slots, stamp);
-}
-
 void PublishedMap::replace(const SplatsView& splats, const std::shared_ptr<const void>& keeper,
                            std::optional<std::uint32_t> expected_slots, const When& stamp) {
   splats.check();
@@ -126,9 +120,10 @@ void PublishedMap::replace(const SplatsView& splats, const std::shared_ptr<const
                                 std::to_string(kMaxSlots) + " slots");
   }
   checkNumber("expected_slots", expected_slots.value_or(0), kMaxSlots);
-  auto map = keeper ? std::make_unique<PublishedContent>(splats, keeper)
-                    : std::make_unique<PublishedContent>();
-  if (!keeper) {
+  const bool in_place = keeper && splats.rows;
+  auto map = in_place ? std::make_unique<PublishedContent>(splats, keeper)
+                      : std::make_unique<PublishedContent>();
+  if (!in_place) {
     const NamedSlots slots(0u, n);
     map->write(slots, splats, map->prepareWrite(slots, splats, 0), 0, 0);
   }
@@ -351,7 +346,7 @@ Batch PublishedMap::batch(std::uint8_t operation, const When& stamp) const {
 Batch PublishedMap::beginning(const When& stamp) const {
   Batch beginning = batch(GaussianBatch::REPLACE, stamp);
   beginning.sh_degree = map_->shDegree();
-  beginning.splats.antialiased = map_->antialiased();
+  beginning.antialiased = map_->antialiased();
   return beginning;
 }
 
@@ -366,26 +361,29 @@ Batch PublishedMap::writing(std::uint8_t operation, const NamedSlots& slots, std
   writing.sh_degree = sh_degree;
   writing.channel_names = channels;
   writing.channels = map_->readChannels(slots, channels);
-  map_->readFrame(slots, writing.splats);
-  if (compression_ == kNone && map_->readRows(slots, sh_degree, writing.payload)) {
-    writing.format = packed_rows::kFormat;
-    return writing;
-  }
-  map_->read(slots, sh_degree, writing.splats);
-  if (compression_ == kNone) return writing;
-  const SplatArrays<const float> arrays = writing.splats.view().arrays;
+  writing.antialiased = map_->antialiased();
+  writing.origin = map_->originOf(group);
+  if (slots.empty()) return writing;
+  if (compression_ == payload::kFormat && quantise(slots, writing)) return writing;
+  writing.format = packed_rows::kFormat;
+  writing.payload = map_->readRows(slots, sh_degree);
+  return writing;
+}
+
+// Fills a batch's payload. Returns false if its splats differ too much from each other for that.
+bool PublishedMap::quantise(const NamedSlots& slots, Batch& batch) const {
+  Splats splats;
+  map_->read(slots, batch.sh_degree, splats);
+  const SplatArrays<const float> arrays = splats.view().arrays;
   std::vector<bool> usable(arrays.count);
   for (std::size_t i = 0; i < usable.size(); ++i) {
     usable[i] = isUsable(arrays, i, arrays.positions + 3 * i);
   }
-  if (!payload::suits(arrays, usable)) return writing;
-  writing.format = payload::kFormat;
-  writing.payload.resize(payload::size(arrays.count, arrays.sh_degree));
-  payload::encode(arrays, usable, writing.payload.data());
-  Splats& sent = writing.splats;
-  for (auto* array : {&sent.positions, &sent.orientations, &sent.scales, &sent.opacities, &sent.sh})
-    *array = {};
-  return writing;
+  if (!payload::suits(arrays, usable)) return false;
+  batch.format = payload::kFormat;
+  batch.payload.resize(payload::size(arrays.count, arrays.sh_degree));
+  payload::encode(arrays, usable, batch.payload.data());
+  return true;
 }
 
 Batch PublishedMap::deletion(const NamedSlots& slots, const When& stamp) const {
@@ -416,8 +414,8 @@ PublishedMap::Answer PublishedMap::pull(const std::string& map_id, std::uint64_t
     after = 0;
   }
   const int sh_degree = std::min(map_->shDegree(), most_sh_degree);
-  PublishedContent::Changes changes = map_->changes(
-      after, first_block, {std::min(chunk_bytes_, kAnswerBytes), sh_degree, compression_ == kNone});
+  PublishedContent::Changes changes =
+      map_->changes(after, first_block, {std::min(chunk_bytes_, kAnswerBytes), sh_degree});
   answer.next_block = changes.next_block;
   auto& batches = answer.batches;
   if (first_block == 0 && after == 0) batches.push_back(beginning(std::nullopt));
@@ -427,9 +425,9 @@ PublishedMap::Answer PublishedMap::pull(const std::string& map_id, std::uint64_t
   if (!changes.emptied.empty()) {
     batches.push_back(deletion({changes.emptied.data(), changes.emptied.size()}, std::nullopt));
   }
-  for (const auto& [kind, slots] : changes.written) {
-    batches.push_back(writing(GaussianBatch::UPSERT, {slots.data(), slots.size()}, kind.first,
-                              sh_degree, map_->channels(), std::nullopt));
+  for (const auto& [group, slots] : changes.written) {
+    batches.push_back(writing(GaussianBatch::UPSERT, {slots.data(), slots.size()}, group, sh_degree,
+                              map_->channels(), std::nullopt));
   }
   if (batches.empty()) {
     batches.push_back(

@@ -102,12 +102,6 @@ void defineArray(py::class_<Batch>& type, const char* name, std::vector<T> Batch
   });
 }
 
-void defineArray(py::class_<Batch>& type, const char* name, std::vector<float> Splats::* values) {
-  type.def_property_readonly(name, [values](const py::object& self) {
-    return arrayOf(self, self.cast<const Batch&>().splats.*values);
-  });
-}
-
 void defineBatch(py::module_& module) {
   py::class_<Batch> type(module, "PublishedBatch", "The fields of a GaussianArray, flat.");
   type.def_property_readonly("stamp",
@@ -125,17 +119,11 @@ void defineBatch(py::module_& module) {
       .def_property_readonly("poses", [](const Batch& batch) { return valuesOf(batch.poses); })
       .def_readonly("sh_degree", &Batch::sh_degree)
       .def_readonly("format", &Batch::format)
-      .def_property_readonly("antialiased",
-                             [](const Batch& batch) { return batch.splats.antialiased; })
-      .def_property_readonly("origin", [](const Batch& batch) { return batch.splats.origin; })
+      .def_readonly("antialiased", &Batch::antialiased)
+      .def_readonly("origin", &Batch::origin)
       .def_readonly("channel_names", &Batch::channel_names);
   defineArray(type, "slots", &Batch::slots);
   defineArray(type, "payload", &Batch::payload);
-  defineArray(type, "positions", &Splats::positions);
-  defineArray(type, "orientations", &Splats::orientations);
-  defineArray(type, "scales", &Splats::scales);
-  defineArray(type, "opacities", &Splats::opacities);
-  defineArray(type, "sh", &Splats::sh);
   defineArray(type, "channels", &Batch::channels);
 }
 
@@ -200,15 +188,15 @@ void definePublishing(py::module_& module) {
            })
       .def(
           "replace",
-          [](PublishedMap& map, const py::object& splats, bool shared,
+          [](PublishedMap& map, const py::object& splats,
              std::optional<std::uint32_t> expected_slots, const Time& stamp) {
             HeldSplats held(splats);
             const SplatsView view = held.view;
-            const auto keeper = shared ? keeperOf(std::move(held)) : nullptr;
+            const auto keeper = view.rows ? keeperOf(std::move(held)) : nullptr;
             const py::gil_scoped_release free;
             map.replace(view, keeper, expected_slots, whenOf(stamp));
           },
-          "splats"_a, "shared"_a, "expected_slots"_a, "stamp"_a)
+          "splats"_a, "expected_slots"_a, "stamp"_a)
       .def("repeat", &PublishedMap::repeat, free)
       .def("expect", &PublishedMap::expect, "slots"_a, free)
       .def(

@@ -1,8 +1,11 @@
 #include "rosplat_core/slots/splats.hpp"
 
 #include <cmath>
+#include <cstring>
 #include <set>
 #include <stdexcept>
+
+#include "rosplat_core/slots/packed_slot.hpp"
 
 namespace rosplat {
 
@@ -16,6 +19,14 @@ void checkLength(const std::string& field, std::size_t length, std::size_t each,
 }
 
 }  // namespace
+
+std::array<float, 3> SplatsView::position(std::size_t i) const {
+  std::array<float, 3> position;
+  const void* const from = rows ? static_cast<const void*>(rows + rowWords(arrays.sh_degree) * i)
+                                : arrays.positions + 3 * i;
+  std::memcpy(position.data(), from, sizeof(position));
+  return position;
+}
 
 void SplatsView::check() const {
   for (const double x : origin) {

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from std_msgs.msg import ColorRGBA, Header
 
+from rosplat_core import payload
 from rosplat_core.generated import generate
 from rosplat_core.maps import PublishedBatch, PublishedMap
 from rosplat_core.splats import Splats
@@ -76,20 +77,17 @@ class Orders:
 
 def make_batch(splats: Splats, header: Header) -> GaussianArray:
     """All of the splats, as a map's publisher sends them: 59 numbers each with three bands of
-    harmonics."""
+    harmonics, packed."""
     batches: list[PublishedBatch] = []
     published = PublishedMap(ONE_BATCH, NONE, batches.append, print, lambda: None)
-    published.replace(splats, True, None, None)
+    published.replace(splats, None, None)
     return as_message(batches[0], header)
 
 
 def read_batch(message: GaussianArray) -> list[NDArray[np.float32]]:
-    return [
-        np.frombuffer(values, np.float32)
-        for values in (
-            message.positions, message.orientations, message.scales, message.opacities, message.sh,
-        )
-    ]  # fmt: skip
+    rows = np.frombuffer(message.payload, np.uint8)
+    arrays = payload.decode(rows, message.count, message.sh_degree, message.format)
+    return list(vars(arrays).values())
 
 
 def make_poses(splats: Splats, header: Header) -> PoseArray:

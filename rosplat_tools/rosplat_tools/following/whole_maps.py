@@ -58,7 +58,7 @@ class WholeMaps:
 
     def _replace(self, splats: Splats, ids: NDArray[np.int64], rows: NDArray[np.intp]) -> int:
         order = _order(splats)
-        self._publisher.replace(splats[order], shared=True)
+        self._publisher.replace(splats[order])
         slots = np.empty(len(order), np.intp)
         slots[order] = np.arange(len(order))
         self._shown = _Shown(splats[rows], ids, slots[rows], self._publisher.frame_id)

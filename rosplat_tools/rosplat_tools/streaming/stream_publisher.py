@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rosplat_core.formats.streamed_sog import open_streamed
 from rosplat_core.log_text import shown
 from rosplat_core.posed_camera import CameraError, PosedCamera
-from rosplat_core.splats import SceneError, splat_bytes
+from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import GaussianArray, ViewCamera
 from rosplat_sorter.camera import decode
 from rosplat_sorter.qos import VIEW, overridable
@@ -57,8 +57,8 @@ class StreamPublisher(Node):
         if most < self._map.least:
             self.get_logger().warning(
                 f"max_splats {most:,} is too few for all of {shown(path)}: its "
-                f"{len(scene.chunks):,} chunks take {self._map.least:,} splats, "
-                f"{splat_bytes(scene.sh_degree)} bytes each, at their coarsest, so some are missing"
+                f"{len(scene.chunks):,} chunks take {self._map.least:,} splats at their coarsest, "
+                "so some are missing"
             )
         topic = self.resolve_topic_name("gaussians")  # remapping it remaps the views
         self.create_subscription(ViewCamera, f"{topic}/view", self._on_view, **overridable(VIEW))

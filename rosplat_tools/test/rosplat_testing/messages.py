@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 from geometry_msgs.msg import Pose
@@ -122,6 +123,12 @@ def decode(message: GaussianArray) -> tuple[Slots, Splats]:
         antialiased=message.antialiased,
         channels=dict(zip(message.channel_names, channels, strict=True)),
     )
+
+
+def as_held(splats: Splats) -> Splats:
+    """Splats in the precision in which maps hold them."""
+    rows = _core.pack_splats(splats, np.ones(len(splats), bool)).view(np.uint8).ravel()
+    return replace(splats, **vars(payload.decode(rows, len(splats), splats.sh_degree, "packed")))
 
 
 def chunks(splats: Splats, chunk_bytes: int) -> Iterator[slice]:

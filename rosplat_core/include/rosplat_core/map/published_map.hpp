@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <functional>
@@ -34,8 +35,8 @@ struct Stamp {
               static_cast<std::uint32_t>(time.nanoseconds() % 1'000'000'000)) {}
 };
 
-// The publisher's side of a map: keeps a copy of it by slot, and makes the batches that tell
-// receivers of edits.
+// The publisher's side of a map: keeps a copy of it by slot, packed as displays hold it, and makes
+// the batches that tell receivers of edits.
 //
 // A batch is sent as soon as it is made; the publisher waits for nobody. A receiver that joins late
 // or misses batches pulls what has changed since its last revision. Calls may come from any thread
@@ -49,8 +50,8 @@ class PublishedMap {
   using Poses = std::map<std::uint32_t, Pose>;  // by group
   using When = std::optional<Stamp>;            // none: now
 
-  // The fields of a rosplat_msgs/GaussianArray without its frame. Its arrays take at most
-  // chunk_bytes, or the bytes of one splat; those of a MOVE 60 bytes a group.
+  // The fields of a rosplat_msgs/GaussianArray without its frame. Its payload and slots take at
+  // most chunk_bytes, or the bytes of one splat; those of a MOVE 60 bytes a group.
   struct Batch {
     When stamp;
     std::string map_id;
@@ -64,7 +65,8 @@ class PublishedMap {
     std::string format;
     std::vector<std::uint8_t> payload;
     int sh_degree = 0;
-    Splats splats;  // without channels
+    std::array<double, 3> origin{};
+    bool antialiased = false;
     std::vector<std::string> channel_names;
     std::vector<float> channels;
   };
@@ -88,9 +90,9 @@ class PublishedMap {
     std::uint32_t next_block = 0;
   };
 
-  // chunk_bytes: the most bytes of a batch's arrays. compression: "none" sends arrays or packed
-  // rows, whichever the map holds; "quantised" is for subscribers across a network. Throws
-  // std::invalid_argument for any other value.
+  // chunk_bytes: the most bytes of a batch's arrays. compression: "none" sends packed rows;
+  // "quantised" is for subscribers across a network. Throws std::invalid_argument for any other
+  // value.
   PublishedMap(std::size_t chunk_bytes, const std::string& compression, Wire wire);
   ~PublishedMap();
   PublishedMap(const PublishedMap&) = delete;
@@ -112,11 +114,7 @@ class PublishedMap {
   // are left out. If sending fails, the previous map stays and is sent again.
   void replace(const Splats& splats, std::optional<std::uint32_t> expected_slots = std::nullopt,
                const When& stamp = std::nullopt);
-  // Moves the splats into the map without a copy.
-  void replace(Splats&& splats, std::optional<std::uint32_t> expected_slots = std::nullopt,
-               const When& stamp = std::nullopt);
-  // keeper: owner of the arrays, if the map is to use them in place; they must not change then.
-  // Null: the map copies the arrays; packed rows need a keeper.
+  // keeper: owner of packed splats that the map is to use in place; they must not change then.
   void replace(const SplatsView& splats, const std::shared_ptr<const void>& keeper,
                std::optional<std::uint32_t> expected_slots, const When& stamp);
   // Sends the whole map again, for listeners that can't pull, such as a recorder. Waits after each
@@ -166,6 +164,7 @@ class PublishedMap {
   Batch beginning(const When& stamp) const;
   Batch writing(std::uint8_t operation, const NamedSlots& slots, std::uint32_t group, int sh_degree,
                 const std::vector<std::string>& channels, const When& stamp) const;
+  bool quantise(const NamedSlots& slots, Batch& batch) const;
   Batch deletion(const NamedSlots& slots, const When& stamp) const;
   Batch placement(Poses poses, const When& stamp) const;
 

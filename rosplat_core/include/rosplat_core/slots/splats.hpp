@@ -21,6 +21,8 @@ struct SplatsView {
   bool antialiased = false;        // trained with opacity compensation (Mip-Splatting)
   std::vector<std::pair<std::string, const float*>> channels;  // a value for each splat
 
+  // Of the i-th splat, relative to the origin. [m]
+  std::array<float, 3> position(std::size_t i) const;
   // Throws std::invalid_argument, which names the field, for an origin that is not finite and for
   // an invalid or repeated channel name.
   void check() const;
