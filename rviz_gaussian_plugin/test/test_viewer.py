@@ -498,6 +498,16 @@ def test_a_start_that_makes_no_sense_is_one_line_and_code_1(
     assert name in refusal("rviz_gaussian_plugin.viewer", **{name: value})
 
 
+def test_a_start_that_fails_late_ends_before_its_display(start: Start, node: Node) -> None:
+    topic = node.resolve_topic_name("gaussians")
+    profile = {f"qos_overrides.{topic}.subscription.reliability": "much"}
+    process = start("rviz_gaussian_plugin.viewer", serve=True, **profile)
+    output, _ = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    assert output.strip().splitlines()[-1].startswith("viewer: ")
+    assert "XIO" not in output
+
+
 def test_a_folder_that_can_t_be_is_told_before_a_map_comes(start: Start, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     process = start("rviz_gaussian_plugin.viewer", output=tmp_path / "file" / "out")
@@ -510,6 +520,7 @@ def test_a_folder_that_can_t_be_is_told_before_a_map_comes(start: Start, tmp_pat
 @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("a\nb" * 10**6)])
 def test_no_message_ends_it(error: Exception) -> None:
     lines: list[str] = []
+    lost: list[Exception] = []
 
     def fail(*_: object) -> None:
         raise error
@@ -519,7 +530,7 @@ def test_no_message_ends_it(error: Exception) -> None:
         get_logger=lambda: SimpleNamespace(
             error=lambda text, **_: lines.append(text), warning=lambda text, **_: lines.append(text)
         ),
-        _map=SimpleNamespace(topic="gaussians"),
+        _map=SimpleNamespace(topic="gaussians", lose=lambda: lost.append(error)),
         _instance="me",
     )
     viewer._take = lambda *of: Viewer._take(viewer, *of)
@@ -527,6 +538,7 @@ def test_no_message_ends_it(error: Exception) -> None:
     for encoding in (SplatOrder.SLOTS, SplatOrder.SHARED):
         assert not Viewer._on_order(viewer, SplatOrder(view_id="me/view", encoding=encoding))
     assert len(lines) == 3
+    assert bool(lost) == isinstance(error, MemoryError)  # all of the map is pulled again
     assert all(line.isprintable() and len(line) < 1000 for line in lines)
 
 

@@ -99,14 +99,21 @@ class Viewer(Node):
                 f"got '{order_source}'"
             )
         try:
-            RenderSettings().detail = detail  # a Renderer that is given up would keep its display
+            RenderSettings().detail = detail
         except ValueError as error:
             raise SceneError(f"parameter {error}") from error
         self.renderer = Renderer()
-        self.renderer.settings.order = ORDER_SOURCES[order_source]
-        self.renderer.settings.detail = detail
-        if float_blending:
-            self.renderer.settings.float_blending = True
+        try:
+            self.renderer.settings.order = ORDER_SOURCES[order_source]
+            self.renderer.settings.detail = detail
+            if float_blending:
+                self.renderer.settings.float_blending = True
+            self._connect()
+        except BaseException:
+            del self.renderer  # while its display is there
+            raise
+
+    def _connect(self) -> None:
         self.get_logger().info(f"drawing with {self.renderer.renderer_info}")
         self.frame_id = ""
         self.last_batch = math.inf
@@ -138,10 +145,15 @@ class Viewer(Node):
     def _on_batch(self, message: GaussianArray, arrival: Arrival) -> None:
         try:
             self._take(message, arrival)
-        except Exception as error:  # no message may end the viewer: the map stays
-            reason = shown(error, 300) or "out of memory"
+        except MemoryError:
+            self._map.lose()  # which pulls the map again
             self.get_logger().error(
-                f"{self._map.topic}: a batch is refused: {reason}", throttle_duration_sec=5.0
+                f"{self._map.topic}: there is no memory for a batch", throttle_duration_sec=5.0
+            )
+        except Exception as error:  # no message may end the viewer: the map stays
+            self.get_logger().error(
+                f"{self._map.topic}: a batch is refused: {shown(error, 300)}",
+                throttle_duration_sec=5.0,
             )
 
     def _take(self, message: GaussianArray, arrival: Arrival) -> None:
