@@ -163,6 +163,8 @@ void GaussianDisplay::subscribe() {
     diagnostics_ = std::make_unique<Diagnostics>(*node, client_->status().topic);
     serve();
     if (!loader_ || loader_->topic() != topic) {
+      // The file is of the topic that it was chosen for; another one may have its own map.
+      if (loader_) scene_file_->setString("");
       loader_ = std::make_unique<SceneLoader>(node, topic);
       openScene();
     }
