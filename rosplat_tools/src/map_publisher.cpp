@@ -108,6 +108,8 @@ PublishedMap::Wire MapPublisher::wireOf(Interfaces node, const MapOptions& optio
   const auto qos = rclcpp::QoS(8).reliable().transient_local();
   rclcpp::PublisherOptions overridable;
   overridable.qos_overriding_options = rclcpp::QosOverridingOptions::with_default_policies();
+  // Before Jazzy, communication within the process refuses transient local durability.
+  overridable.use_intra_process_comm = rclcpp::IntraProcessSetting::Disable;
   const auto publisher = rclcpp::create_publisher<Message>(node.parameters, node.topics,
                                                            options.topic, qos, overridable);
   const rclcpp::Logger logger = node.logging->get_logger();
@@ -122,8 +124,11 @@ PublishedMap::Wire MapPublisher::wireOf(Interfaces node, const MapOptions& optio
   };
   wire.settle = [publisher, closing, context = node.base->get_context()] {
     const auto until = Clock::now() + kPatience;
-    while (!publisher->wait_for_all_acked(kLook) && Clock::now() < until && !*closing &&
-           context->is_valid()) {
+    try {
+      while (!publisher->wait_for_all_acked(kLook) && Clock::now() < until && !*closing) {
+      }
+    } catch (const rclcpp::exceptions::RCLError&) {
+      if (context->is_valid()) throw;  // else ROS has ended, and nobody is waited for
     }
   };
   return wire;
@@ -142,13 +147,13 @@ class MapPublisher::Services {
          steady = steadyClock()](const PullMap::Request::SharedPtr request,
                                  const PullMap::Response::SharedPtr response) {
           const bool of_another = !request->map_id.empty() && request->map_id != map.mapId();
-          if (of_another && graph->count_publishers(name) > 1) {
-            RCLCPP_WARN_THROTTLE(logger, *steady, kWarningPeriod,
-                                 "%s: is published by others, too, and receivers see one map in "
-                                 "place of the other: end all publishers but one",
-                                 name.c_str());
-          }
           try {
+            if (of_another && graph->count_publishers(name) > 1) {
+              RCLCPP_WARN_THROTTLE(logger, *steady, kWarningPeriod,
+                                   "%s: is published by others, too, and receivers see one map in "
+                                   "place of the other: end all publishers but one",
+                                   name.c_str());
+            }
             Answer answer = map.pull(request->map_id, request->after_revision, request->first_block,
                                      request->most_sh_degree);
             for (Batch& batch : answer.batches) {
