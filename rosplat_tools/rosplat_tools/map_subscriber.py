@@ -29,14 +29,14 @@ class MapSubscriber:
         self,
         node: Node,
         target: Any,
-        heard: Callable[[], None] | None = None,
+        heard: Callable[[], None],
         *,
         most_sh_degree: int = 3,
     ) -> None:
         """target: a GaussianMap, or an object with one as its `map`. heard: called whenever a batch
-        has come, by default take(). most_sh_degree: harmonics above it aren't pulled.
+        has come. most_sh_degree: harmonics above it aren't pulled.
         """
-        self._node, self._target, self._heard = node, target, heard or self.take
+        self._node, self._target, self._heard = node, target, heard
         self.books = getattr(target, "map", target)
         self.header = Header()
         """Header of the last applied batch."""
@@ -64,8 +64,8 @@ class MapSubscriber:
         self._heard()
 
     def take(self) -> None:
-        """Applies the batches that wait. Call it from one thread at a time."""
-        while self._waiting:
+        """Applies the batches that wait by now. Call it from one thread at a time."""
+        for _ in range(len(self._waiting)):  # those that come meanwhile can keep it from ending
             batch, arrival = self._waiting.popleft()
             try:
                 dropped = apply(self._target, batch, arrival)["dropped"]
@@ -76,6 +76,7 @@ class MapSubscriber:
                 if isinstance(error, MemoryError):
                     self._waiting.clear()
                     self._subscription.lose()
+                    return
                 continue
             self.header = batch.header
             self.edits += 1

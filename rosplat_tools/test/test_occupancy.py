@@ -5,7 +5,10 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from rosplat_core.generated.rooms import DOOR_ASIDE, ROOMS, SIZE, WALL
-from rosplat_core.occupancy import OccupancyMap
+from rosplat_core.occupancy import Grid, OccupancyMap, grid_of
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, SaveMap
@@ -239,41 +242,72 @@ def test_what_is_incomplete_is_not_published_and_recovers(
     ended(process)
 
 
+@contextmanager
+def running(node: Node, *parameters: str) -> Iterator[None]:
+    """Runs the node that is tested in this process, in the namespace of `node`."""
+    words = [word for parameter in parameters for word in ("-p", parameter)]
+    rclpy.init(args=["--ros-args", "-r", f"__ns:={node.get_namespace()}", *words])
+    try:
+        tested = occupancy.Occupancy()
+        with ThreadPoolExecutor(1) as pool, spinning(tested):
+            pool.submit(tested.publish)  # ends with ROS, which spinning() ends
+            yield
+    finally:
+        rclpy.try_shutdown()
+
+
+def test_a_grid_that_takes_long_shows_all_batches_that_have_come(
+    monkeypatch: pytest.MonkeyPatch, node: Node, listener: Any
+) -> None:
+    def slowly(*given: Any) -> Grid:
+        time.sleep(0.5)
+        return grid_of(*given)
+
+    monkeypatch.setattr(occupancy, "grid_of", slowly)
+    grid = Heard(node, OccupancyGrid, "gaussians/occupancy")
+    publisher = MapPublisher(node)
+    with running(node, "resolution:=0.1", "period:=0.05"):
+        publisher.replace(floor())
+        listener.wait(lambda: grid.message)
+        for number in range(20):
+            publisher.upsert([8192 + number], wall(1.05)[:1])
+        publisher.upsert(range(8192, 8192 + len(wall(1.05))), wall(1.05))
+        before = grid.count
+        listener.wait(lambda: grid.at(1.05, 0) == 100)
+        assert grid.count <= before + 5
+
+
 def test_a_map_of_too_many_voxels_is_refused_until_it_is_smaller_or_another(
     monkeypatch: pytest.MonkeyPatch, node: Node, listener: Any
 ) -> None:
     """The node runs here, with room for fewer voxels: those that it has room for take 2 GB."""
     monkeypatch.setattr(occupancy, "OccupancyMap", partial(OccupancyMap, most=1000))
-    rclpy.init(args=["--ros-args", "-r", f"__ns:={node.get_namespace()}", "-p", "resolution:=0.1"])
     grid = Heard(node, OccupancyGrid, "gaussians/occupancy")
     said = Said(node)
     publisher = MapPublisher(node)
-    try:
-        with spinning(occupancy.Occupancy()):
-            publisher.replace(floor())
-            listener.wait(lambda: "more than 1,000 voxels, choose a coarser" in said.message)
-            assert said.values["Splats"] == str(len(floor()))
-            assert said.values["Voxels"] == "0"
-            assert not grid.message
-            outside = np.flatnonzero(np.abs(floor().positions[:, :2]).max(axis=1) > 0.5)
-            publisher.delete(outside[: len(outside) // 20])  # too few to try again
-            listener.wait(lambda: said.values["Splats"] == str(len(floor()) - len(outside) // 20))
-            assert "more than 1,000 voxels" in said.message
-            publisher.delete(outside)
-            listener.wait(lambda: grid.message and grid.at(0.05, 0.05) == 0)
-            publisher.upsert(range(len(floor())), floor())
-            listener.wait(lambda: "more than 1,000 voxels" in said.message)
-            publisher.replace(wall(1.05))
-            listener.wait(lambda: grid.message and grid.at(1.05, 0) == 100)
-            # A wall has no floor.
-            listener.wait(lambda: "no cell is free: at the start, (0, 0)" in said.message)
-            assert int(said.values["Voxels"]) > 100
-            around = np.abs(floor().positions[:, :2]).max(axis=1) < 0.5
-            publisher.replace(floor()[np.flatnonzero(around)])
-            listener.wait(lambda: said.message == "obstacles are published")
-            assert said.levels[-2:] == [DiagnosticStatus.WARN, DiagnosticStatus.OK]
-    finally:
-        rclpy.try_shutdown()
+    with running(node, "resolution:=0.1"):
+        publisher.replace(floor())
+        listener.wait(lambda: "more than 1,000 voxels, choose a coarser" in said.message)
+        assert said.values["Splats"] == str(len(floor()))
+        assert said.values["Voxels"] == "0"
+        assert not grid.message
+        outside = np.flatnonzero(np.abs(floor().positions[:, :2]).max(axis=1) > 0.5)
+        publisher.delete(outside[: len(outside) // 20])  # too few to try again
+        listener.wait(lambda: said.values["Splats"] == str(len(floor()) - len(outside) // 20))
+        assert "more than 1,000 voxels" in said.message
+        publisher.delete(outside)
+        listener.wait(lambda: grid.message and grid.at(0.05, 0.05) == 0)
+        publisher.upsert(range(len(floor())), floor())
+        listener.wait(lambda: "more than 1,000 voxels" in said.message)
+        publisher.replace(wall(1.05))
+        listener.wait(lambda: grid.message and grid.at(1.05, 0) == 100)
+        # A wall has no floor.
+        listener.wait(lambda: "no cell is free: at the start, (0, 0)" in said.message)
+        assert int(said.values["Voxels"]) > 100
+        around = np.abs(floor().positions[:, :2]).max(axis=1) < 0.5
+        publisher.replace(floor()[np.flatnonzero(around)])
+        listener.wait(lambda: said.message == "obstacles are published")
+        assert said.levels[-2:] == [DiagnosticStatus.WARN, DiagnosticStatus.OK]
 
 
 def test_what_is_pulled_has_no_harmonics(start: Start, node: Node, listener: Any) -> None:

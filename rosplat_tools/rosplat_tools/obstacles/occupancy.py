@@ -8,6 +8,8 @@ the grid for map_server.
 from __future__ import annotations
 
 import math
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,6 @@ from typing import Any
 import numpy as np
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -58,12 +59,16 @@ LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
 )
+POLL = 0.02  # longest time between two looks at the map [s]
 STILL = 1e-3  # how far a frame may turn before the voxels are built anew [rad]
 SHRUNK = 0.9  # a map of too many voxels is tried again with at most this share of its splats
 
 
 class Occupancy(Node):
-    """Publishes what of the map on `gaussians` stands in a robot's way."""
+    """Publishes what of the map on `gaussians` stands in a robot's way.
+
+    Callbacks hand batches over and save; publish() keeps the voxels equal to the map.
+    """
 
     def __init__(self) -> None:
         """Raises SceneError for a parameter that makes no sense."""
@@ -96,7 +101,9 @@ class Occupancy(Node):
             self, "band_frame", "", "Frame that the band's heights are measured from, a robot's "
             "base say; empty: that of what is published.",
         )  # fmt: skip
-        period = declare(self, "period", 0.5, "Least time between two messages. [s]", 0.05, 60.0)
+        self._period: float = declare(
+            self, "period", 0.5, "Least time between two messages. [s]", 0.05, 60.0
+        )
         self._save_root: str = declare(
             self, "save_root", "", "Folder below which ~/save may write; empty: nowhere."
         )
@@ -113,7 +120,9 @@ class Occupancy(Node):
         warn = self.get_logger().warning
         self._problem, self._left_out = SaidOnce(warn), SaidOnce(warn)
         self._not_free = ""  # why no cell of the grid is free
-        self._map = MapSubscriber(self, self._voxels, most_sh_degree=0)
+        self._came = threading.Event()
+        self._lock = threading.Lock()  # of the map and of what is made of it
+        self._map = MapSubscriber(self, self._voxels, self._came.set, most_sh_degree=0)
         topic = self._map.topic  # remapping it remaps the others
         outputs: list[tuple[str, type, Callable[[Header], Any]]] = [
             ("occupancy", OccupancyGrid, self._grid_message),
@@ -125,16 +134,28 @@ class Occupancy(Node):
             for name, kind, make in outputs
         ]
         self.create_service(SaveMap, "~/save", self._on_save)
-        Diagnostics(self, topic, self._report)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-        self.create_timer(period, self._tick, clock=steady)
+        self._report = self._reported()
+        Diagnostics(self, topic, lambda: self._report)
         self.get_logger().info(
             f"waiting for a map on {topic}: voxels of {resolution:g} m within {size:g} m"
         )
 
     # --- What is published ------------------------------------------------------------------------
 
-    def _tick(self) -> None:
+    def publish(self) -> None:
+        """Publishes until ROS ends."""
+        due = 0.0
+        while self.context.ok():
+            self._came.wait(POLL)
+            self._came.clear()
+            with self._lock:
+                self._map.take()
+                if (now := time.monotonic()) >= due:
+                    due = now + self._period
+                    self._publish()
+                self._report = self._reported()
+
+    def _publish(self) -> None:
         if problem := self._find_problem():
             self._problem.say(f"nothing is published: {problem}")
             return
@@ -180,7 +201,7 @@ class Occupancy(Node):
             self._splats_when_full = splats
         return not self._voxels.full
 
-    def _report(self) -> Report:
+    def _reported(self) -> Report:
         figures = {
             **self._map.figures(),
             "Splats left out": self._voxels.too_large + self._voxels.beyond,
@@ -240,6 +261,11 @@ class Occupancy(Node):
     # --- What is written --------------------------------------------------------------------------
 
     def _on_save(self, request: SaveMap.Request, response: SaveMap.Response) -> SaveMap.Response:
+        with self._lock:
+            self._map.take()
+            return self._save(request, response)
+
+    def _save(self, request: SaveMap.Request, response: SaveMap.Response) -> SaveMap.Response:
         try:
             check_below("save_root", self._save_root, request.path)
             path = Path(request.path)
@@ -289,7 +315,7 @@ def _numbers(name: str, values: Any) -> tuple[float, float]:
 
 def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
-    run_node("occupancy", Occupancy)
+    run_node("occupancy", Occupancy, Occupancy.publish)
 
 
 if __name__ == "__main__":
