@@ -15,6 +15,7 @@ from rosplat_core.cameras import Camera, look_at
 from rosplat_msgs.msg import ViewCamera
 from rosplat_sorter.qos import VIEW
 from rosplat_testing import PATIENCE
+from rosplat_testing.studio import Studio
 from rosplat_tools.streaming.slot_allocator import slots_for
 from rosplat_tools.view_messages import view_camera
 
@@ -71,6 +72,23 @@ def test_what_is_looked_at_is_fine_and_nothing_is_ever_missing(
     assert "Traceback" not in output
     assert "view broken is left out: fx is 0.0" in output
     assert f"of {4 * LEVELS[0]:,} splats, 4 of 4 chunks" in output
+
+
+def test_a_camera_s_pictures_show_what_is_fine(
+    start: Start, node: Node, listener: Any, path: Path
+) -> None:
+    start("stream_publisher", path=path, max_splats=ROOM, error=0.1)
+    start("camera", poses="topic")
+    studio = Studio(node, listener)
+    studio.hear("image_raw")
+    eye = np.array([2 * APART, -4.0, 1.0])
+    pose = look_at(eye, eye + np.array([0, 4, -0.5]))
+
+    def seen() -> bool:
+        studio.pose(pose)
+        return finest(listener) == [2]
+
+    listener.wait(seen)
 
 
 def test_a_budget_that_lacks_room_for_all_says_so(start: Start, listener: Any, path: Path) -> None:

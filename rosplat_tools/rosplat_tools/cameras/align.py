@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -114,9 +114,10 @@ class AlignNode(Node):
         self._health.figures = found.figures()
 
     def _refined(self, taken: Taken[Straightened]) -> Refined:
-        found = refined(
-            self._map.renderer, taken, taken.optics, self._pictures.near, self._pictures.far
-        )
+        camera, near, far = taken.optics.camera, self._pictures.near, self._pictures.far
+        world_to_camera = camera.world_to_camera @ taken.world_to_lens
+        self._map.look("", [replace(camera, world_to_camera=world_to_camera, near=near, far=far)])
+        found = refined(self._map.renderer, taken, taken.optics, near, far)
         if problem := found.alignment.problem:
             raise NoPicture("not aligned", problem)
         return found

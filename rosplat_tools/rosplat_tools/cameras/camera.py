@@ -213,9 +213,11 @@ class _Camera:
         if not any(listened):
             return None
         depth, shot = self._shot.depth if listened[1] else "", self._shot
+        world_to_lens = np.linalg.inv(pose).astype(np.float64)
+        self._map.look(self._name, warp.cameras(world_to_lens, shot.near, shot.far))
         try:
             return take_picture(
-                self._map.renderer, warp, np.linalg.inv(pose).astype(np.float64),
+                self._map.renderer, warp, world_to_lens,
                 near=shot.near, far=shot.far, depth=depth, normals=listened[2],
             )  # fmt: skip
         except (ValueError, RuntimeError, MemoryError) as error:

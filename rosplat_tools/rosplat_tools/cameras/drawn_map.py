@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import uuid
+from collections.abc import Callable, Sequence
 
 from rclpy.node import Node
+from std_msgs.msg import Header
 
+from rosplat_core.cameras import Camera
 from rosplat_core.rendering import CpuRenderer
+from rosplat_msgs.msg import ViewCamera
+from rosplat_sorter.qos import VIEW, overridable
 from rosplat_tools.map_subscriber import MapSubscriber
+from rosplat_tools.view_messages import view_camera
 
 
 class DrawnMap(MapSubscriber):
@@ -17,11 +23,25 @@ class DrawnMap(MapSubscriber):
         """heard: called whenever a batch has come."""
         self.renderer = CpuRenderer()
         super().__init__(node, self.renderer, heard)
+        self._views = node.create_publisher(ViewCamera, f"{self.topic}/view", **overridable(VIEW))
+        self._instance = f"{node.get_name()}_{uuid.uuid4().hex[:8]}"
 
     @property
     def frame_id(self) -> str:
         """The map's frame."""
         return self.header.frame_id
+
+    def look(self, name: str, cameras: Sequence[Camera]) -> None:
+        """Tells a publisher that streams its map of the cameras that take a picture.
+
+        name: tells several pictures of a node apart.
+        """
+        header = Header(stamp=self._node.get_clock().now().to_msg(), frame_id=self.frame_id)
+        for number, camera in enumerate(cameras):
+            message = view_camera(camera)
+            message.header = header
+            message.view_id = f"{self._instance}/{name}{number}"
+            self._views.publish(message)
 
     def problem(self) -> str:
         """Why a picture would not show the whole map; empty if it would."""
