@@ -134,6 +134,26 @@ def test_what_a_bag_lacks_is_said_in_a_line(
     assert "no picture could be compared" in error
 
 
+@needs_bags
+def test_a_map_that_lacks_a_part_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, *later = (("/gaussians", batch) for batch in batches(SPLATS))
+    assert later
+    for name, maps, why in (
+        ("no_end", [first, *later[:-1]], "more was to come"),
+        ("no_beginning", later, "1 batches are missing"),
+    ):
+        record(tmp_path / name, [*maps, *flight()])
+        code, lines, error = compare(capsys, "--bag", tmp_path / name, "--pose", "/cam/pose")
+        assert (code, lines, error.count("\n")) == (1, [], 1)
+        assert f"{why}: record it from its beginning or with /gaussians/repeat" in error
+    begun_anew = [*later, first, *later]  # as a recorder that came late has it after a repeat
+    record(tmp_path / "repeated", [*begun_anew, *flight()])
+    code, _, error = compare(capsys, "--bag", tmp_path / "repeated", "--pose", "/cam/pose")
+    assert (code, error) == (0, "")
+
+
 def test_pictures_left_out_count_by_the_words_of_the_reason(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -58,6 +58,7 @@ class Bag:
         self._frame: str = options.frame
         self.info: CameraInfo | None = None
         self.renderer = CpuRenderer()
+        self._announced = False  # whether the map has held all that was announced
         self._poses = PoseHistory(ALWAYS, ALWAYS)
         self._tf = None if self._pose else self._transforms()
         self._read()
@@ -67,6 +68,8 @@ class Bag:
             self.renderer = CpuRenderer(splats)
         if not self.renderer.map.splats:
             raise SceneError(f"{shown(self.path)}: {self._map} has no map")
+        if self._map:
+            self._check_map()
 
     def _topic(self, name: str, kind: type, option: str) -> str:
         """The topic of that name and kind; without a name, the only one of the kind."""
@@ -109,6 +112,9 @@ class Bag:
                 apply(self.renderer, message)
             except ValueError as error:
                 raise SceneError(f"{shown(self.path)}: {topic}: {error}") from error
+            if message.operation == GaussianArray.REPLACE:
+                self._announced = False
+            self._announced |= self.renderer.map.complete  # splats may be deleted later
             self._frame = message.header.frame_id
         elif self._tf:
             for transform in message.transforms:
@@ -118,6 +124,16 @@ class Bag:
                 self._poses.add(nanoseconds(message.header.stamp), to_matrix(to_pose(message.pose)))
             except ValueError as error:
                 raise SceneError(f"{shown(self.path)}: {topic}: {error}") from error
+
+    def _check_map(self) -> None:
+        books = self.renderer.map
+        if self._announced and not books.missed:
+            return
+        missing = f"{books.missed} batches are missing" if books.missed else "more was to come"
+        raise SceneError(
+            f"{shown(self.path)}: {self._map}: the map isn't complete: {books.splats:,} splats, "
+            f"{missing}: record it from its beginning or with {self._map}/repeat, or give --scene"
+        )
 
     def pose(self, image: Image) -> Pose:
         """Where a picture was taken. Raises FrameError or PoseError."""
