@@ -73,6 +73,17 @@ def test_a_scene_file_is_published_and_its_publisher_ends_with_the_property(
     world.spin_until(lambda: publishers(world) == 0)
 
 
+def test_another_topic_gets_no_scene_that_was_chosen_for_the_last(
+    rviz_alone: Rviz, world: World, scene: Path
+) -> None:
+    rviz_alone.set("Map", "Scene File", value=str(scene))
+    rviz_alone.until_status("Map", "Scene File", "Ok", f"{scene}: 1 splats", "loaded")
+    rviz_alone.set("Map", "Topic", value="/another/gaussians")
+    world.spin_until(lambda: publishers(world) == 0)
+    assert rviz_alone.properties("Map")["Scene File"] == ""
+    assert world.node.count_publishers("/another/gaussians") == 0
+
+
 def test_a_dropped_scene_is_opened_and_nothing_else(
     rviz_alone: Rviz, world: World, scene: Path, tmp_path: Path
 ) -> None:

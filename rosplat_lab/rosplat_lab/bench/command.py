@@ -1,4 +1,4 @@
-"""Measures ROSplat on this machine: sorting, transport, drawing, the whole chain, a growing map."""
+"""Measures ROSplat on this machine, subject by subject; some need ROS."""
 
 from __future__ import annotations
 
