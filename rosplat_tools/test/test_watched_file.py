@@ -3,6 +3,8 @@
 import os
 from pathlib import Path
 
+import pytest
+
 from rosplat_tools.following.watched_file import WatchedFile
 
 
@@ -46,3 +48,30 @@ def test_of_a_pattern_the_newest_counts(tmp_path: Path) -> None:
     version = watched.poll()
     assert version
     assert version.path.parent.name == "iteration_30000"
+
+
+@pytest.mark.parametrize(
+    ("path", "other"),
+    [
+        ("scene/meta.json", "scene/sh0.webp"),
+        ("scene", "scene/sh0.webp"),
+        ("scene/lod-meta.json", "scene/0_0/means_l.webp"),
+        ("scene.gltf", "scene.bin"),
+        ("scene.gltf", "buffers/scene.bin"),
+    ],
+)
+def test_files_that_a_scene_s_file_names_count(tmp_path: Path, path: str, other: str) -> None:
+    buffer = tmp_path / other
+    buffer.parent.mkdir(parents=True, exist_ok=True)
+    if "." in path:
+        (tmp_path / path).write_bytes(b"{}")
+    watched = WatchedFile(str(tmp_path / path))
+    watched.poll()
+    first = watched.poll()
+    assert first
+    for content in (b"begun", b"begun and ended", b"in the same place"):
+        buffer.write_bytes(content)
+        assert not watched.is_still(first)
+        assert watched.poll() is None
+        assert watched.poll()
+        assert watched.poll() is None

@@ -1,4 +1,4 @@
-"""A file that another program writes again and again."""
+"""A scene that another program writes again and again."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
+FOLDERS = ("meta.json", "lod-meta.json")  # files that name others in their folder
+
 
 class Version(NamedTuple):
-    """A file as it was at one time."""
+    """A scene as it was at one time."""
 
     path: Path
-    inode: int
-    bytes: int
     written: int
     """Time of the last change. [ns]"""
+    files: tuple[tuple[int, int, int], ...]
+    """Inode, size [bytes] and time of the last change [ns] of each of its files."""
 
 
 class WatchedFile:
-    """The newest file of a path or glob pattern, each time that it was written."""
+    """The newest scene of a path or glob pattern, each time that one of its files was written."""
 
     def __init__(self, pattern: str) -> None:
         """Nothing is looked at yet."""
@@ -54,7 +56,17 @@ class WatchedFile:
 
 def _version(path: Path) -> Version | None:
     try:
-        found = path.stat()
+        found = [file.stat() for file in _files(path)]
     except OSError:  # it is being replaced
         return None
-    return Version(path, found.st_ino, found.st_size, found.st_mtime_ns)
+    files = sorted((each.st_ino, each.st_size, each.st_mtime_ns) for each in found)
+    return Version(path, max(each.st_mtime_ns for each in found), tuple(files))
+
+
+def _files(path: Path) -> list[Path]:
+    """A scene's files, and its folder where it has one of its own."""
+    if path.suffix == ".gltf":
+        return [path, *path.parent.rglob("*.bin")]
+    if path.name in FOLDERS:
+        path = path.parent
+    return [path, *path.rglob("*")] if path.is_dir() else [path]
