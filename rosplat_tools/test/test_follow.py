@@ -9,6 +9,7 @@ import numpy as np
 from core_fixtures import random_splats
 from point_cloud import cloud
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from rosplat_core import formats
@@ -57,6 +58,19 @@ def test_a_cloud_is_shown_in_its_frame(start: Start, listener: Any, node: Node) 
     publisher.publish(message)
     listener.wait(lambda: listener.batches[-1].header.frame_id == "odom")
     assert not listener.batches[-1].count
+
+
+def test_a_cloud_that_was_published_once_is_shown(start: Start, listener: Any, node: Node) -> None:
+    """By a latched publisher; a volatile one that comes later is heard, too."""
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    publisher = node.create_publisher(PointCloud2, "cloud", latched)
+    publisher.publish(cloud(random_splats(300, 0)))
+    start("follow")
+    listener.wait_for(300)
+    volatile = node.create_publisher(PointCloud2, "cloud", 1)
+    listener.wait(volatile.get_subscription_count)
+    volatile.publish(cloud(random_splats(200, 0)))
+    listener.wait_for(200)
 
 
 def test_a_cloud_that_is_refused_moves_nothing(start: Start, listener: Any, node: Node) -> None:

@@ -33,6 +33,7 @@ from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError
 from rosplat_tools.cameras.poses import Poses, declare_poses
 from rosplat_tools.frames import LATEST
 from rosplat_tools.images import to_bytes, to_image
+from rosplat_tools.latched import LatchedSubscription
 from rosplat_tools.program.parameters import declare, declare_clip
 from rosplat_tools.program.running import run_node
 
@@ -138,11 +139,11 @@ class _Camera:
         height = of("height", 360, "Height of pictures without a calibration. [px]", 1, 8192)
         angle = of("fov", 1.2, "Horizontal field of view without a calibration. [rad]", 0.01, 3.1)
         if path == TOPIC:
-            heard = self._node.create_subscription(
-                CameraInfo, f"{self._name}/calibration", self._on_calibration,
-                **overridable(qos_profile_sensor_data),
+            heard = LatchedSubscription(
+                self._node, CameraInfo, f"{self._name}/calibration", self._on_calibration,
+                qos_profile_sensor_data,
             )  # fmt: skip
-            self._topic = heard.topic_name
+            self._topic = heard.topic
             return None
         return (
             calibrations.load(path)

@@ -27,6 +27,7 @@ from rosplat_tools.cameras.health import Health, NoPicture
 from rosplat_tools.cameras.pose_history import Pose, PoseError
 from rosplat_tools.cameras.poses import declare_poses, nanoseconds
 from rosplat_tools.images import from_image, read_mask
+from rosplat_tools.latched import LatchedSubscription
 from rosplat_tools.program.parameters import declare, declare_clip
 
 WAITING = 8  # pictures that wait for their poses
@@ -145,12 +146,10 @@ class TakenPictures(Generic[Optics]):
         self.newest: Image | None = None
         """The last picture that came, whether or not it was used."""
         self.health = Health(node.resolve_topic_name("image_raw"), node.get_logger().warning)
-        for kind, topic, hear in (
-            (Image, "image_raw", self._on_image),
-            (CameraInfo, "camera_info", self._on_info),
-            (Image, "mask", self._on_mask),
-        ):
-            node.create_subscription(kind, topic, hear, **overridable(qos_profile_sensor_data))
+        sensor = qos_profile_sensor_data
+        node.create_subscription(Image, "image_raw", self._on_image, **overridable(sensor))
+        LatchedSubscription(node, CameraInfo, "camera_info", self._on_info, sensor)
+        LatchedSubscription(node, Image, "mask", self._on_mask, sensor)
 
     # --- What ROS hands over ----------------------------------------------------------------------
 

@@ -13,7 +13,6 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2
 
 from rosplat_core.log_text import shown
@@ -22,9 +21,12 @@ from rosplat_core.splats import SceneError, Splats
 from rosplat_tools.following.foreign_messages import from_point_cloud, from_splat_array
 from rosplat_tools.following.watched_file import WatchedFile
 from rosplat_tools.following.whole_maps import WholeMaps
+from rosplat_tools.latched import LatchedSubscription
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.parameters import declare, declare_compression
 from rosplat_tools.program.running import Cancelled, run_node
+
+MAPS = QoSProfile(depth=1)  # of others' messages: only the newest counts
 
 
 class Follow(Node):
@@ -51,22 +53,13 @@ class Follow(Node):
         else:
             cloud = self.resolve_topic_name("cloud")
             self.get_logger().info(f"no path is given: waiting for {cloud}")
-        self._subscribe(PointCloud2, "cloud", self._on_cloud)
+        LatchedSubscription(self, PointCloud2, "cloud", self._on_cloud, MAPS)
         try:
             from gsplat_msgs.msg import SplatArray
         except ImportError:
             pass
         else:
-            self._subscribe(SplatArray, "splat_array", self._on_array)
-
-    def _subscribe(self, kind: type, topic: str, heard: Any) -> None:
-        self.create_subscription(
-            kind,
-            topic,
-            heard,
-            QoSProfile(depth=1),  # reliable and volatile; qos_overrides.* are parameters
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )
+            LatchedSubscription(self, SplatArray, "splat_array", self._on_array, MAPS)
 
     def _look(self) -> None:
         version = self._file.poll()

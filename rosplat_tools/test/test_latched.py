@@ -1,0 +1,33 @@
+"""What was published once, before a subscription began."""
+
+from collections.abc import Callable
+from functools import partial
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo
+
+from rosplat_testing import Listener
+from rosplat_tools.latched import LatchedSubscription
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def test_it_is_heard_and_so_is_a_volatile_publisher_beside(node: Node, listener: Listener) -> None:
+    heard: list[int] = []
+
+    def hear(info: CameraInfo) -> None:
+        heard.append(info.width)
+
+    def comes(width: int, publish: Callable[[], None] = lambda: None) -> bool:
+        publish()
+        return heard[-1:] == [width]
+
+    latched = node.create_publisher(CameraInfo, "info", LATCHED)
+    latched.publish(CameraInfo(width=1))
+    LatchedSubscription(node, CameraInfo, "info", hear, qos_profile_sensor_data)
+    listener.wait(partial(comes, 1))
+    volatile = node.create_publisher(CameraInfo, "info", 1)
+    listener.wait(partial(comes, 2, lambda: volatile.publish(CameraInfo(width=2))))
+    latched.publish(CameraInfo(width=3))
+    listener.wait(partial(comes, 3))
