@@ -19,7 +19,7 @@ from rosplat_core.splats import PackedSplats, SceneError
 from rosplat_msgs.srv import LoadScene, SaveMap
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.program.files_below import check_below
-from rosplat_tools.program.parameters import declare, declare_compression
+from rosplat_tools.program.parameters import declare, declare_compression, declare_path
 from rosplat_tools.program.running import Cancelled, run, spinning, wait_for_end
 
 # Of callbacks: ~/load that sends, one that reads, one that cancels; ~/save, repeat, parameters.
@@ -41,14 +41,14 @@ class PlyPublisher(Node):
         )  # to the newest request; can be cancelled while it reads
         self._up: tuple[float, float, float] | None = None  # of the map, if its format fixes it
         super().__init__("ply_publisher")
-        self.path: str = declare(
+        self.path = declare_path(
             self, "path", "", f"Scene to publish: {NAMES}; empty: wait for ~/load."
         )
         frame_id = declare(self, "frame_id", "map", "Frame that the scene's coordinates are in.")
-        self._scene_root: str = declare(
+        self._scene_root = declare_path(
             self, "scene_root", "/", "Folder below which ~/load may read; empty: nowhere."
         )
-        self._save_root: str = declare(
+        self._save_root = declare_path(
             self, "save_root", "", "Folder below which ~/save may write; empty: nowhere."
         )
         self._map = MapPublisher(

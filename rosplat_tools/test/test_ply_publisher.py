@@ -62,6 +62,14 @@ def test_the_scene_of_the_parameter_is_published_whole(
 
 
 @pytest.mark.skipif(importlib.util.find_spec("pxr") is None, reason="usd-core is not installed")
+def test_a_path_may_begin_with_the_users_folder(
+    monkeypatch: pytest.MonkeyPatch, start: Start, listener: Any, ply: Path
+) -> None:
+    monkeypatch.setenv("HOME", str(ply.parent))
+    start("ply_publisher", path=f"~/{ply.name}")
+    listener.wait_for(5000)
+
+
 def test_the_vertical_of_a_scene_is_that_of_what_is_saved(
     start: Start, listener: Any, random_splats: Maker, tmp_path: Path
 ) -> None:

@@ -34,7 +34,7 @@ from rosplat_tools.cameras.poses import Poses, declare_poses
 from rosplat_tools.frames import LATEST
 from rosplat_tools.images import to_bytes, to_image
 from rosplat_tools.latched import LatchedSubscription
-from rosplat_tools.program.parameters import declare, declare_clip
+from rosplat_tools.program.parameters import declare, declare_clip, declare_path
 from rosplat_tools.program.running import run_node
 
 # Reliable: such a publisher serves best-effort subscribers, too.
@@ -132,9 +132,10 @@ class _Camera:
         def of(what: str, *rest: Any) -> Any:
             return declare(self._node, f"{self._name}.{what}", *rest)
 
-        path = of(
-            "calibration", "", "File of camera_calibration; topic: heard on NAME/calibration."
-        )
+        path = declare_path(
+            self._node, f"{self._name}.calibration", "",
+            "File of camera_calibration; topic: heard on NAME/calibration.",
+        )  # fmt: skip
         width = of("width", 640, "Width of pictures without a calibration. [px]", 1, 8192)
         height = of("height", 360, "Height of pictures without a calibration. [px]", 1, 8192)
         angle = of("fov", 1.2, "Horizontal field of view without a calibration. [rad]", 0.01, 3.1)

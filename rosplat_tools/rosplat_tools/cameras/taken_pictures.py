@@ -28,7 +28,7 @@ from rosplat_tools.cameras.pose_history import Pose, PoseError
 from rosplat_tools.cameras.poses import declare_poses, nanoseconds
 from rosplat_tools.images import from_image, read_mask
 from rosplat_tools.latched import LatchedSubscription
-from rosplat_tools.program.parameters import declare, declare_clip
+from rosplat_tools.program.parameters import declare, declare_clip, declare_path
 
 WAITING = 8  # pictures that wait for their poses
 SILENCE = 5.0  # after which the log says that no picture has come [s]
@@ -134,7 +134,7 @@ class TakenPictures(Generic[Optics]):
         Declares poses, rectified, mask, near and far. Raises SceneError.
         """
         rectified = declare(node, "rectified", False, "Pictures are rectified, by r and p.")
-        mask = declare(node, "mask", "", "Picture file, black where pixels don't count.")
+        mask = declare_path(node, "mask", "", "Picture file, black where pixels don't count.")
         self.near, self.far = declare_clip(node)
         pixels = read_mask(mask) if mask else None
         self._reader = PictureReader(prepare, rectified=rectified, mask=pixels)

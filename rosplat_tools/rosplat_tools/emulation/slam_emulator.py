@@ -15,7 +15,7 @@ from rosplat_core.scenes import NAMES, PROCEDURAL, load_scene
 from rosplat_core.splats import SceneError
 from rosplat_tools.emulation.mapping import Move, around, edits, with_keyframes
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.program.parameters import declare, declare_compression
+from rosplat_tools.program.parameters import declare, declare_compression, declare_path
 from rosplat_tools.program.running import run_node
 
 
@@ -26,7 +26,7 @@ class SlamEmulator(Node):
         """Loads the scene and starts the timer. Raises SceneError."""
         self._bar = tqdm(disable=True)  # first: since Kilted, half-made nodes are destroyed, too
         super().__init__("slam_emulator")
-        path = declare(self, "path", f"{PROCEDURAL}500000", f"Scene to arrive at: {NAMES}.")
+        path = declare_path(self, "path", f"{PROCEDURAL}500000", f"Scene to arrive at: {NAMES}.")
         frame_id = declare(self, "frame_id", "map", "Frame that the scene's coordinates are in.")
         rate = declare(self, "rate", 10.0, "Messages per second. [Hz]", 0.01, 1000.0)
         self._loop = declare(self, "loop", False, "Start over when the scene is complete.")

@@ -23,7 +23,7 @@ from rosplat_tools.following.watched_file import WatchedFile
 from rosplat_tools.following.whole_maps import WholeMaps
 from rosplat_tools.latched import LatchedSubscription
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.program.parameters import declare, declare_compression
+from rosplat_tools.program.parameters import declare, declare_compression, declare_path
 from rosplat_tools.program.running import Cancelled, run_node
 
 MAPS = QoSProfile(depth=1)  # of others' messages: only the newest counts
@@ -34,7 +34,7 @@ class Follow(Node):
 
     def __init__(self) -> None:
         super().__init__("follow")
-        path = declare(
+        path = declare_path(
             self, "path", "", "Scene file to follow, or a pattern: its newest match is read."
         )
         period = declare(self, "period", 0.5, "Time between two looks at the file. [s]", 0.05, 60.0)

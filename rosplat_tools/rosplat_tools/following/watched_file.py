@@ -47,7 +47,7 @@ class WatchedFile:
         return _version(version.path) == version
 
     def _newest(self) -> Version | None:
-        pattern = os.path.expanduser(self._pattern)
+        pattern = self._pattern
         # A name may have brackets.
         paths = [pattern] if os.path.exists(pattern) else glob.glob(pattern, recursive=True)
         found = [version for path in paths if (version := _version(Path(path)))]

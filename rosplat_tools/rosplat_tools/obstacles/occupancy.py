@@ -48,7 +48,7 @@ from rosplat_tools.obstacles.obstacle_messages import (
     voxels_message,
 )
 from rosplat_tools.program.files_below import check_below
-from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.parameters import declare, declare_path
 from rosplat_tools.program.running import run_node
 from rosplat_tools.program.said_once import SaidOnce
 
@@ -104,7 +104,7 @@ class Occupancy(Node):
         self._period: float = declare(
             self, "period", 0.5, "Least time between two messages. [s]", 0.05, 60.0
         )
-        self._save_root: str = declare(
+        self._save_root = declare_path(
             self, "save_root", "", "Folder below which ~/save may write; empty: nowhere."
         )
         self._resolution, self._least_depth = resolution, depth_of(threshold)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -38,6 +39,14 @@ def declare(
     if value is None:  # rclpy makes None of an empty list, whatever the type
         raise SceneError(f"parameter {name}: has no value")
     return value
+
+
+def declare_path(node: Node, name: str, default: str, description: str) -> str:
+    """Declares a parameter that names a file or a folder; ~ stands for the user's folder.
+
+    Raises SceneError as `declare`.
+    """
+    return os.path.expanduser(declare(node, name, default, description))
 
 
 def declare_compression(node: Node) -> str:

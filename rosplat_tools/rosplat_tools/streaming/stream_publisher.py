@@ -20,7 +20,7 @@ from rosplat_msgs.msg import GaussianArray, ViewCamera
 from rosplat_sorter.camera import decode
 from rosplat_sorter.qos import VIEW, overridable
 from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.program.parameters import declare, declare_compression
+from rosplat_tools.program.parameters import declare, declare_compression, declare_path
 from rosplat_tools.program.running import run, spinning
 from rosplat_tools.streaming.followed_view import FollowedView
 from rosplat_tools.streaming.streamed_map import StreamedMap
@@ -35,7 +35,7 @@ class StreamPublisher(Node):
 
     def __init__(self) -> None:
         super().__init__("stream_publisher")
-        path = declare(self, "path", "", "Streamed SOG to publish: a lod-meta.json.")
+        path = declare_path(self, "path", "", "Streamed SOG to publish: a lod-meta.json.")
         frame_id = declare(self, "frame_id", "map", "Frame that the scene's coordinates are in.")
         most = declare(
             self, "max_splats", 2_000_000, "The most splats that the map holds.",

@@ -26,7 +26,7 @@ from rosplat_sorter.batches import apply, array
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW, overridable
 from rosplat_tools.images import to_image
-from rosplat_tools.program.parameters import declare
+from rosplat_tools.program.parameters import declare, declare_path
 from rviz_gaussian_plugin.from_messages import numbers
 from rviz_gaussian_plugin.offscreen import Renderer
 from rviz_gaussian_plugin.viewer.orbit import bounds
@@ -63,7 +63,7 @@ class Viewer(Node):
 
     def __init__(self) -> None:
         super().__init__("viewer")
-        self.output: str = declare(
+        self.output = declare_path(
             self,
             "output",
             "",
