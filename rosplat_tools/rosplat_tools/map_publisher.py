@@ -85,7 +85,8 @@ class MapPublisher:
         """
         self._node = node
         self._topic = node.resolve_topic_name(topic)
-        self._wire = _Wire(node, topic, frame_id)
+        self._wire = _Wire(node, topic)
+        self.frame_id = frame_id
         self._map = PublishedMap(
             _whole("chunk_bytes", chunk_bytes, 2**63 - 1),
             compression,
@@ -128,11 +129,13 @@ class MapPublisher:
 
     @property
     def frame_id(self) -> str:
-        """The map's frame. A new value holds from the next batch on."""
+        """The map's frame. A new value, a str, holds from the next batch on."""
         return self._wire.frame_id
 
     @frame_id.setter
     def frame_id(self, frame_id: str) -> None:
+        if not isinstance(frame_id, str):
+            raise TypeError(f"frame_id: expected a str, got {frame_id!r}")
         self._wire.frame_id = frame_id
 
     @property
@@ -299,8 +302,8 @@ def _report(published: PublishedMap, wire: _Wire) -> Report:
 class _Wire:
     """Sends batches as messages. Holds no reference to the map, which ends with its publisher."""
 
-    def __init__(self, node: Node, topic: str, frame_id: str) -> None:
-        self.frame_id = frame_id
+    def __init__(self, node: Node, topic: str) -> None:
+        self.frame_id = ""
         self._node = node
         self._topic = topic
         self._publisher: Publisher | None = None

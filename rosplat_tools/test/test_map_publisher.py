@@ -586,6 +586,8 @@ def test_arguments_may_be_of_many_kinds_but_not_of_all(node: Node, random_splats
         publisher.replace(Splats(**zeros, sh=np.zeros((n, 1, 3), np.float32)))
     with pytest.raises(ValueError, match="once"):
         publisher.delete(np.array([4, 4]))
+    with pytest.raises(TypeError, match="frame_id: expected a str, got 5"):
+        publisher.frame_id = 5
     for wrong in ("scene.ply", np.zeros((3, 3))):
         with pytest.raises(TypeError, match="expected Splats"):
             publisher.replace(wrong)  # type: ignore[arg-type]
