@@ -234,6 +234,11 @@ def test_a_recorder_keeps_all_of_the_map_and_has_it_sent_once() -> None:
     words = [perform_substitutions(context, word) for word in recorder.cmd]
     assert words[:3] == ["ros2", "bag", "record"]
     assert words[words.index("--output") + 1] == "bag"
+    excluded = re.compile(next(word for word in words if "view|order" in word))
+    for left_out in ("/robot1/gaussians/view", "/robot1/gaussians/order", "/gaussians/order"):
+        assert excluded.search(left_out)
+    for kept in ("/robot1/gaussians", "/camera/view", "/planner/order"):
+        assert not excluded.search(kept)
     qos = yaml.safe_load(Path(words[words.index("--qos-profile-overrides-path") + 1]).read_text())
     assert qos.keys() == {"/robot1/gaussians"}
     assert (qos["/robot1/gaussians"]["depth"], qos["/robot1/gaussians"]["durability"]) == (

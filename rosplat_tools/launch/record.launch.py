@@ -36,7 +36,7 @@ def _recorder(context: LaunchContext) -> list[ExecuteProcess | RegisterEventHand
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     topic = "/" + given["topic"].strip("/")  # rosbag2 uses full names
     exclude = "-x" if os.environ.get("ROS_DISTRO") == "humble" else "--exclude-regex"
-    command = ["ros2", "bag", "record", "-a", exclude, "/(view|order)$"]
+    command = ["ros2", "bag", "record", "-a", exclude, f"(/gaussians|{topic})/(view|order)$"]
     command += ["--qos-profile-overrides-path", str(_qos(topic))]
     command += ["--output", given["output"]] if given["output"] else []
     recorder = ExecuteProcess(cmd=command, output="screen")
