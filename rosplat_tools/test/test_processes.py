@@ -190,6 +190,44 @@ def test_programs_begin_with_nothing_that_takes_long_to_load() -> None:
 def test_a_library_that_a_command_lacks_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("rosplat_tools.program.processes.interrupt_by_signals", lambda: None)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
     assert run_module("lab", "rosplat_tools.no_such.command", None) == 1
     assert capsys.readouterr().err == "lab: No module named 'rosplat_tools.no_such'\n"
+
+
+ENDS = """
+import os, signal, sys, time
+from types import SimpleNamespace
+from rosplat_tools.program import processes
+def again():
+    for number in (signal.SIGINT, signal.SIGTERM) * 3:
+        os.kill(os.getpid(), number)
+        time.sleep(0.01)
+def main():
+    try:
+        time.sleep(600)
+    finally:
+        again()
+class AtTheEnd:
+    def __del__(self):
+        again()
+last = AtTheEnd()
+processes.importlib = SimpleNamespace(import_module=lambda name: SimpleNamespace(main=main))
+print("begun", flush=True)
+code = processes.run_module("program", "module")
+again()
+print("ended")
+sys.exit(code)
+"""
+
+
+def test_signals_that_follow_the_first_hold_up_no_cleaning_up() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", ENDS], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as process:
+        assert process.stdout
+        assert process.stdout.readline() == "begun\n"
+        time.sleep(0.2)
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, output) == (130, "ended\n")

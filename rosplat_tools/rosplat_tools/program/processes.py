@@ -17,9 +17,11 @@ from pathlib import Path
 from types import FrameType, TracebackType
 
 from rosplat_core.program.output import finish
+from rosplat_tools.program.loading import exit_by_signals
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM)
 GRACE = 5.0  # what a program gets to end by itself [s]
+ENDS = 3.0  # for so long after a signal, a program that ends by it heeds no other [s]
 
 
 # A user who sets one of these has configured Fast DDS already.
@@ -66,7 +68,8 @@ _interrupted_at: float | None = None  # of time.monotonic()
 def interrupt_by_signals() -> None:
     """Makes SIGTERM end this program as Ctrl-C does: by KeyboardInterrupt, block by block.
 
-    The exception comes at once, wherever the main thread waits: see _Waker.
+    The exception comes at once, wherever the main thread waits: see _Waker. Signals that follow
+    within ENDS are ignored: a terminal and ros2 launch both send one, and cleaning up goes on.
     """
     global _interrupted_at
     _interrupted_at = None
@@ -111,6 +114,8 @@ class _Waker:
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
     global _interrupted_at
+    if 0.0 < since_interrupt() < ENDS:
+        return
     _interrupted_at = _interrupted_at or time.monotonic()
     raise KeyboardInterrupt
 
@@ -124,16 +129,16 @@ def since_interrupt() -> float:
 
 
 def run_module(program: str, module: str, arguments: list[str] | None = None) -> int:
-    """Runs the main of a module, a command's or a node's; returns the exit code.
+    """Runs the main of a module, a command's or a node's; returns the exit code. Without arguments,
+    it takes those of the program, which ends by it.
 
     An interrupt is quiet even while the module is loaded, which takes seconds. A library, or
     rviz_gaussian_plugin, that is missing is named.
     """
-    interrupt_by_signals()
+    exit_by_signals()
     try:
         main = importlib.import_module(module).main
-        if since_interrupt():
-            return 130
+        interrupt_by_signals()
         code: int | None = main() if arguments is None else main(arguments)
         return code or 0
     except ModuleNotFoundError as error:
@@ -142,10 +147,13 @@ def run_module(program: str, module: str, arguments: list[str] | None = None) ->
     except KeyboardInterrupt:
         return 130
     except Exception:
-        if since_interrupt():  # libraries in C turn KeyboardInterrupt into others as they load
+        if since_interrupt():  # libraries in C turn KeyboardInterrupt into others
             return 130
         raise
     finally:
+        if arguments is None:  # no caller goes on; in Python's own end, a signal has a traceback
+            for number in ENDINGS:
+                signal.signal(number, signal.SIG_IGN)
         finish()
 
 
