@@ -130,10 +130,11 @@ class Wire:
     def create_publisher(self, *_: object, **__: object) -> Wire:
         return self
 
-    def create_service(self, *_: object, **__: object) -> None: ...
-
     def serve_pulls(self, _: str, serve: Any, __: object) -> Wire:
         self.pull = serve
+        return self
+
+    def serve_repeats(self, *_: object) -> Wire:
         return self
 
     def close(self) -> None: ...
@@ -252,6 +253,7 @@ def test_whatever_is_lost_all_end_with_the_map(
     monkeypatch: pytest.MonkeyPatch, losses: float, chunk_bytes: int, seed: int
 ) -> None:
     monkeypatch.setattr(map_publisher, "PullServer", Wire.serve_pulls)
+    monkeypatch.setattr(map_publisher, "ServiceThread", Wire.serve_repeats)
     random = np.random.default_rng(seed)
     wire, model = Wire(), Model()
     publisher = MapPublisher(wire, chunk_bytes=chunk_bytes)

@@ -14,7 +14,6 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, Quaternion
 from numpy.typing import ArrayLike, NDArray
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -30,7 +29,7 @@ from rosplat_sorter.diagnostics import Report
 from rosplat_sorter.qos import PULLED_MAP, overridable
 from rosplat_tools.messages import NONE, Slots, as_array
 from rosplat_tools.poses import to_pose
-from rosplat_tools.pull_server import PullServer
+from rosplat_tools.pull_server import PullServer, ServiceThread
 
 CHUNK_BYTES = 8_000_000
 # How long `repeat` waits for a subscriber that acknowledges nothing [s]. A subscriber that is gone
@@ -52,10 +51,10 @@ class MapPublisher:
 
     A batch is sent as soon as it is made; the publisher waits for nobody. A receiver that joins
     late or misses batches pulls what has changed since its last revision from the service
-    <topic>/pull. A thread with a hidden node of its own answers pulls, so the node needn't be
-    spun. An answer copies only splats that the client lacks, at most 2 MB. For listeners that
-    can't pull, such as a recorder, `repeat` sends the whole map again; so does the service
-    <topic>/repeat, which the node's executor answers.
+    <topic>/pull. An answer copies only splats that the client lacks, at most 2 MB. For listeners
+    that can't pull, such as a recorder, `repeat` sends the whole map again; so does the service
+    <topic>/repeat. Each service has a thread and a hidden node of its own, so the node needn't be
+    spun.
 
     Splats may be written in groups, one for each submap for example, and `move` places groups: a
     loop closure sends a pose for each group and no splats. A group that was never placed is at
@@ -95,26 +94,21 @@ class MapPublisher:
             self._wire.settle,
         )
         self._wire.advertise()
-        self._repeat = node.create_service(
-            RepeatMap,
-            f"{self._topic}/repeat",
-            self._on_repeat,
-            callback_group=MutuallyExclusiveCallbackGroup(),
-        )
         pulls = PullServer(
             node,
             self._topic,
             partial(_answer, self._map, self._wire),
             partial(_report, self._map, self._wire),
         )
-        # Closes the server with this object at the latest: the server holds no reference to it.
-        self._end_pulls = weakref.finalize(self, pulls.close)
+        # A repeat waits for subscribers, which pull meanwhile. Its thread keeps this object until
+        # the node ends.
+        repeats = ServiceThread(node, RepeatMap, f"{self._topic}/repeat", self._on_repeat)
+        # Before Python ends, which no thread outlives. The wire first: a repeat waits no longer.
+        self._end = weakref.finalize(self, _close, self._wire, pulls, repeats)
 
     def close(self) -> None:
         """Ends the topic and its services. Subscribers keep what they have. No edit may follow."""
-        self._end_pulls()
-        self._node.destroy_service(self._repeat)
-        self._wire.close()
+        self._end()
 
     def __enter__(self) -> MapPublisher:
         return self
@@ -261,6 +255,11 @@ class MapPublisher:
         except Exception as error:  # no request may end the node
             response.message = str(error) or "not enough memory"
         return response
+
+
+def _close(*parts: _Wire | ServiceThread) -> None:
+    for part in parts:
+        part.close()
 
 
 def _answer(

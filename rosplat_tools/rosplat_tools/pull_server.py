@@ -1,10 +1,11 @@
-"""Answers a map's pulls and reports its diagnostics, whether or not its author's node is spun."""
+"""Answers a map's services and tells its diagnostics, though nobody spins its author's node."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -22,24 +23,22 @@ PATIENCE = 5.0  # for the thread to end [s]
 LOOK = 0.5  # from one look at the author's node to the next [s]
 
 
-class PullServer:
-    """Answers a map's pulls in a thread of its own, until it is closed, or its node or ROS ends.
+class ServiceThread:
+    """Answers a service in a thread of its own, until it is closed, or its node or ROS ends.
 
-    The thread reports the publisher's diagnostics, too. rclpy's executors take whole nodes, so
-    the thread has a hidden node beside the publisher's.
+    rclpy's executors take whole nodes, so the thread has a hidden node beside the author's.
     """
 
-    def __init__(self, node: Node, topic: str, serve: Serve, report: Callable[[], Report]) -> None:
+    def __init__(self, node: Node, kind: type, name: str, serve: Callable[[Any, Any], Any]) -> None:
         self._node = rclpy.create_node(
-            f"_{node.get_name()}{topic.replace('/', '_')}",
+            f"_{node.get_name()}{name.replace('/', '_')}",
             namespace=node.get_namespace(),
             context=node.context,
             use_global_arguments=False,  # these would rename it, too
             start_parameter_services=False,
             enable_rosout=False,
         )
-        self._node.create_service(PullMap, f"{topic}/pull", serve)
-        self._diagnostics = Diagnostics(node, topic, report, spun=self._node)
+        self._node.create_service(kind, name, serve)
         self._author = node
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._node.create_timer(LOOK, self._end_with_author, clock=steady)
@@ -47,7 +46,7 @@ class PullServer:
         self._executor.add_node(self._node)
         self._ended = threading.Event()
         self._ending = self._node.create_guard_condition(self._ended.set)
-        self._thread = threading.Thread(target=self._run, name=topic, daemon=True)
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def _end_with_author(self) -> None:
@@ -74,4 +73,16 @@ class PullServer:
             self._ending.trigger()
         if self._thread is not threading.current_thread():
             self._thread.join(PATIENCE)
+
+
+class PullServer(ServiceThread):
+    """Answers a map's pulls. Its thread reports the publisher's diagnostics, too."""
+
+    def __init__(self, node: Node, topic: str, serve: Serve, report: Callable[[], Report]) -> None:
+        super().__init__(node, PullMap, f"{topic}/pull", serve)
+        self._diagnostics = Diagnostics(node, topic, report, spun=self._node)
+
+    def close(self) -> None:
+        """As of every service; ends the reports, too."""
+        super().close()
         self._diagnostics.close()

@@ -36,6 +36,7 @@ from rosplat_sorter.batches import array_bytes
 from rosplat_sorter.qos import MAP_VOLATILE, PULLED_MAP
 from rosplat_testing import PATIENCE, Listener
 from rosplat_testing.messages import chunks, decode
+from rosplat_tools import map_publisher
 from rosplat_tools.map_publisher import CHUNK_BYTES, MapPublisher
 from rosplat_tools.poses import to_pose
 from rosplat_tools.program.running import Cancelled
@@ -450,6 +451,25 @@ def test_who_only_listens_hears_the_map_when_it_is_repeated(
     assert [batch.revision for batch in heard] == [4, 5, 6, 7]
 
 
+def test_a_map_is_repeated_and_pulled_meanwhile_though_nobody_spins_its_node(
+    node: Node, random_splats: Maker, listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settled = threading.Event()
+    monkeypatch.setattr(map_publisher._Wire, "settle", lambda _: settled.wait(PATIENCE))
+    author = rclpy.create_node("author", namespace=node.get_namespace(), context=node.context)
+    publisher = MapPublisher(author)
+    publisher.replace(random_splats(9))
+    answer = listener.request(RepeatMap, "gaussians/repeat")
+    pulled = listener.call(PullMap, "gaussians/pull", map_id=publisher.map_id)
+    assert pulled.batches
+    assert not answer.done()
+    settled.set()
+    listener.wait(answer.done)
+    assert (answer.result().success, answer.result().splats) == (True, 9)
+    publisher.close()
+    author.destroy_node()
+
+
 def test_a_slam_map_of_500_batches_reaches_a_latecomer(
     node: Node, random_splats: Maker, tmp_path: Path
 ) -> None:
@@ -726,7 +746,7 @@ def test_a_publisher_ends_with_its_block(node: Node, random_splats: Maker) -> No
         kept = weakref.ref(splats.rows)
     assert node.count_publishers("gaussians") == 0
     topic = node.resolve_topic_name("gaussians")
-    assert topic not in {thread.name for thread in threading.enumerate()}
+    assert not [each for each in threading.enumerate() if each.name.startswith(topic)]
     assert not [service for service in node.services if "gaussians" in service.srv_name]
     with pytest.raises(RuntimeError, match=r"gaussians: its publisher is closed"):
         publisher.delete([3])
@@ -742,10 +762,12 @@ def test_a_map_is_not_pulled_once_its_node_is_destroyed(node: Node, random_splat
     publisher.replace(random_splats(10))
     client = node.create_client(PullMap, "/authors_map/pull")
     assert client.wait_for_service(30.0)
-    (thread,) = [each for each in threading.enumerate() if each.name == "/authors_map"]
+    threads = [each for each in threading.enumerate() if each.name.startswith("/authors_map")]
+    assert len(threads) == 2
     author.destroy_node()
-    thread.join(PATIENCE)
-    assert not thread.is_alive()
+    for thread in threads:
+        thread.join(PATIENCE)
+        assert not thread.is_alive()
     deadline = time.monotonic() + PATIENCE
     while client.service_is_ready():
         assert time.monotonic() < deadline
