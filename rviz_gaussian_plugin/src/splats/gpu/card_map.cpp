@@ -7,7 +7,12 @@
 namespace rosplat {
 
 void CardMap::apply(const std::shared_ptr<const GaussianEdit>& edit, double now) {
-  store_.apply(*edit, now);
+  try {
+    store_.apply(*edit, now);
+  } catch (...) {
+    if (edit->clear) endLevels();  // of the map that is gone by now
+    throw;
+  }
   if (levels_) levels_->apply(store_, edit, now);
   ring_.close();
   gl::deleteAbandoned();
