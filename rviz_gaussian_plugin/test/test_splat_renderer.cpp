@@ -2048,6 +2048,55 @@ TEST_F(SplatRendererTest, WhatTheDriverRefusesIsMissingUntilItIsUploaded) {
   EXPECT_EQ(scene.backlog().edits, 0u);
 }
 
+TEST_F(SplatRendererTest, LevelsEndWithTheirMapThoughTheNextOneIsRefused) {
+  constexpr std::uint32_t kGroups = 20, kEach = 4096, kMore = 100000;
+  SplatScene scene(shaders());
+  for (std::uint32_t group = 0; group < kGroups; ++group) {
+    OwnedBatch part = grid(group + 1, kEach * group, kEach, 4 + 0.2f * static_cast<float>(group));
+    part.group = group;
+    scene.apply(part);
+  }
+  RenderSettings settings;
+  settings.rasterizer = Rasterizer::kTiles;
+  settings.detail = parseDetail("8px");
+  scene.setCamera("view", 1, camera());
+  scene.draw("view", settings, Canvas::kNone, true);
+  EXPECT_GT(scene.bytes().levels, 0u);
+  OwnedBatch next = grid(kGroups + 1, 0, kMore, 8);
+  next.operation = GaussianBatch::REPLACE;
+  {
+    const FullDriver full(1 << 20);
+    scene.apply(next);
+    scene.draw("view", settings, Canvas::kNone, true);
+    EXPECT_GT(FullDriver::refused(), 0);
+    EXPECT_FALSE(scene.report("view").map.complete());
+  }
+  pictureOnceComplete(scene, Rasterizer::kTiles);
+  EXPECT_EQ(scene.report("view").splats, kMore);
+}
+
+// As a RenderService asks for a picture, once a frame.
+TEST_F(SplatRendererTest, APictureComesOfAMapThatIsEditedAllTheTime) {
+  SplatScene scene(shaders());
+  scene.apply(grid(1, 0, 20000, 8));
+  RenderSettings settings;
+  settings.rasterizer = Rasterizer::kProcessor;
+  scene.setCamera("service", 1, camera());
+  std::uint64_t revision = 1;
+  for (int picture = 1; picture <= 3; ++picture) {
+    const std::uint64_t asked = ++revision;
+    scene.apply(grid(asked, 0, 10, 8));
+    for (int frame = 0; !scene.ready("service", settings, true); ++frame) {
+      ASSERT_LT(frame, 1000);
+      std::this_thread::sleep_for(std::chrono::milliseconds(5));
+      scene.apply(grid(++revision, 0, 10, 8));
+    }
+    scene.draw("service", settings, Canvas::kNone, true);
+    EXPECT_GE(scene.report("service").map.revision, asked) << picture;
+    EXPECT_FALSE(scene.readColor().empty());
+  }
+}
+
 TEST_F(SplatRendererTest, WhoDrawsGoesOnWhereAnotherCannot) {
   SplatScene scene(shaders()), whole(shaders());
   const OwnedBatch first = grid(1, 0, 60000, 8), second = grid(2, 0, 5000, 6);

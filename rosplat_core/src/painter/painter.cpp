@@ -136,7 +136,8 @@ class LockedMaps {
 bool PaintLayer::operator==(const PaintLayer& o) const {
   return map == o.map && camera == o.camera && camera.ndc_scale == o.camera.ndc_scale &&
          camera.ndc_offset == o.camera.ndc_offset && settings.projectsAs(o.settings) &&
-         order == o.order && unsorted == o.unsorted && age_tick == o.age_tick;
+         settings.interactive == o.settings.interactive && order == o.order &&
+         unsorted == o.unsorted && age_tick == o.age_tick;
 }
 
 const PaintLayer* PaintRequest::of(const PaintedMap& map) const {

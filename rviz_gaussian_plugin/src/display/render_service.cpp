@@ -23,6 +23,7 @@ constexpr auto kAskAgain = 250ms;      // how long a picture waits for an order 
 constexpr double kLongestWait = 60.0;  // for the order of a picture [s]
 constexpr auto kSharedWait = 1s;       // the same while other requests wait
 constexpr auto kUnserved = 1s;         // without a frame; then requests are refused
+constexpr auto kKept = 10s;            // that a view is kept for the next request
 
 sensor_msgs::msg::Image toImage(const std::vector<float>& pixels, const char* encoding,
                                 const rosplat_msgs::msg::ViewCamera& camera) {
@@ -46,7 +47,13 @@ RenderService::RenderService(const std::string& view_id, SplatCloud& cloud, Gaus
 void RenderService::serve() {
   served_ = true;
   try {
-    if (!request_ && !take()) return;
+    if (!request_ && !take()) {
+      if (kept_ && Clock::now() - taken_ > kKept) {
+        view_.forget();  // its picture, and levels that nobody else draws
+        kept_ = false;
+      }
+      return;
+    }
     SplatScene& scene = cloud_.scene();
     const bool wanted = scene.wantsOrders(cloud_.settings());
     view_.setOrdersWanted(wanted);
@@ -72,6 +79,7 @@ bool RenderService::take() {
   SplatCamera camera = inMapFrame(request_->request->camera);
   camera.extent_scale = extentScale(cloud_.settings());
   view_.ask(camera);
+  kept_ = true;
   taken_ = Clock::now();
   const double asked = request_->request->order_timeout;
   const std::chrono::duration<double> wait(asked > 0 ? std::min(asked, kLongestWait) : 0.0);

@@ -50,6 +50,7 @@ class RenderService {
   Detail detail_;               // that request_ asks for
   Clock::time_point taken_;     // when the request's turn came
   Clock::time_point deadline_;  // of its order, unless others wait
+  bool kept_ = false;           // the scene knows view_
   bool served_ = true;          // serve() was called since the last update
   Clock::time_point unserved_;  // last update that found served_
 };

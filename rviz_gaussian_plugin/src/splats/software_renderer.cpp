@@ -12,6 +12,7 @@ namespace rosplat {
 namespace {
 
 constexpr float kSurfaceAlpha = 0.5f;  // splats cover at least half of the pixel
+constexpr double kAging = 1.0;         // a picture of ages that is older is painted anew [s]
 
 bool same(const MapState& a, const MapState& b) { return a.edits == b.edits && a.torn == b.torn; }
 
@@ -21,7 +22,10 @@ bool shows(const Painting& painting, const PaintRequest& request,
   const auto as = [](const Painting::OfMap& shown, const ViewedMap& map) {
     return same(shown.map, map.state);
   };
-  if (!(*painting.request == request)) return false;
+  const auto ages = [](const PaintLayer& layer) { return layer.settings.mode == DrawMode::kAge; };
+  const bool aged = now() - painting.asked - painting.took > kAging &&
+                    std::any_of(request.layers.begin(), request.layers.end(), ages);
+  if (!(*painting.request == request) || (aged && !request.interactive())) return false;
   return !painting.error.empty() ||
          std::equal(painting.maps.begin(), painting.maps.end(), maps.begin(), maps.end(), as);
 }
@@ -97,9 +101,14 @@ bool SoftwareRenderer::ready(const ViewedMap& map) {
   const ShownView& view = views_[name];
   const PaintingPtr newest = painter_.newest(name);
   const bool good = newest && (newest->error.empty() || newest->request == view.asked);
-  if (good && shows(*newest, *request, maps)) return true;
+  if (good && (shows(*newest, *request, maps) || overtaken(view, *newest, *request))) return true;
   if (!asked(view, *request, maps)) ask(name, std::move(request), maps);
   return false;
+}
+
+bool SoftwareRenderer::overtaken(const ShownView& view, const Painting& painting,
+                                 const PaintRequest& request) {
+  return painting.request == view.asked && painting.error.empty() && *painting.request == request;
 }
 
 PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas canvas,
@@ -127,7 +136,10 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
       throw PictureError(painting->error);
     }
   }
-  if (!interactive && !exact_) {
+  if (!interactive && painting && overtaken(view, *painting, *request)) {
+    exact_ = true;
+    view.asked = nullptr;  // another picture shows what has come since
+  } else if (!interactive && !exact_) {
     view.asked = nullptr;
     view.shown = painting = nullptr;  // one picture is in memory at a time
     painting = painter_.paintNow(name, request);

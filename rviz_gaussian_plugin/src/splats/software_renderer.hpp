@@ -32,15 +32,15 @@ class SoftwareRenderer {
 
   // Its thread also takes the maps' edits.
   Painter& painter() { return painter_; }
-  // Has a picture made of a map that no window shows. Returns whether the picture of the map's
-  // present state is finished, or has failed.
+  // Has a picture made of a map that no window shows. Returns whether the picture of the map, as it
+  // was when the picture was asked for, is finished or has failed.
   bool ready(const ViewedMap& map);
   // Shows a view as SplatRenderer::draw() does. An interactive view shows the newest finished
   // picture, warped to this camera. Returns the picture that is shown, null if there is none yet.
   // It may lack some of these maps, and hold others. Throws PictureError.
   PaintingPtr draw(const std::vector<ViewedMap>& maps, Canvas canvas,
                    const Surroundings& around = {});
-  // Whether draw() showed exactly its camera and the maps' states at that time.
+  // Whether draw() showed exactly its camera and the maps, as they were then or when ready() asked.
   bool exact() const { return exact_; }
   // After a draw() with translucent objects; see SplatRenderer.
   void hideFarther() const;
@@ -78,6 +78,10 @@ class SoftwareRenderer {
   static bool asked(const ShownView& view, const PaintRequest& request,
                     const std::vector<ViewedMap>& maps);
   void ask(const std::string& name, PaintRequestPtr request, const std::vector<ViewedMap>& maps);
+  // Whether a painting is what was asked for, although the map may have been edited since. No later
+  // painting would show the present state of a map that is edited all the time.
+  static bool overtaken(const ShownView& view, const Painting& painting,
+                        const PaintRequest& request);
   void show(ShownView& view, const PaintingPtr& painting);
   // Depths of the shown picture's splats, by pixel of the maps' camera [m]; NaN where they are less
   // opaque than least_alpha or behind the opaque scene. Empty if the view shows none of the maps.
