@@ -31,6 +31,7 @@ from rosplat_core.splats import Splats
 from rosplat_lab import reference
 from rosplat_sorter.order_slots import PACKED, SHARED, OrderError, pack
 from rosplat_sorter.shared_orders import FOLDER, OrderBuffer, SharedOrders
+from rosplat_testing import PATIENCE
 from rviz_gaussian_plugin.offscreen import Renderer
 
 WIDTH, HEIGHT = 160, 120
@@ -603,6 +604,40 @@ def test_scale_and_opacity_modifiers(host: Host, scale: float) -> None:
     )
     for view in CAMERAS.values():
         assert decibels(host.draw(view), reference.render(changed, view).rgba) >= 70
+
+
+def test_a_scale_that_is_set_after_the_camera_counts(host: Host) -> None:
+    host.show(cloud(300))
+    host.look(CAMERAS["inside"])
+    host.set(scale=4.0)
+    drawn = host.renderer.draw("test", sort_now=True)["splats"]
+    picture = host.renderer.read_color()
+    np.testing.assert_array_equal(host.draw(CAMERAS["inside"]), picture)
+    assert host.renderer.draw("test", sort_now=True)["splats"] == drawn
+
+
+def test_a_picture_can_be_read_after_one_that_followed_the_camera(host: Host) -> None:
+    host.show(cloud(300))
+    expected = host.draw(CAMERAS["outside"])
+    host.set(interactive=True)
+    host.look(CAMERAS["outside"])
+    until = time.monotonic() + PATIENCE
+    while not host.renderer.draw("test", sort_now=True)["order_fresh"]:
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    host.set(interactive=False)
+    np.testing.assert_array_equal(host.draw(CAMERAS["outside"]), expected)
+
+
+def test_splats_age_while_nothing_moves(host: Host) -> None:
+    host.show(cloud(300))
+    host.set(mode=DrawMode.AGE, age_range=4.0)
+    host.look(CAMERAS["outside"])
+    host.renderer.draw("test", sort_now=True)
+    young = host.renderer.read_color()
+    time.sleep(1.5)
+    host.renderer.draw("test", sort_now=True)
+    assert np.abs(host.renderer.read_color() - young).max() > 0.1
 
 
 def test_only_what_is_in_the_clip_box_is_drawn(host: Host) -> None:

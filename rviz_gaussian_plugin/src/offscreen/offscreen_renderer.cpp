@@ -80,7 +80,7 @@ SplatScene& OffscreenRenderer::addMap() {
 
 void OffscreenRenderer::setCamera(const std::string& view_id, std::uint64_t sequence,
                                   const SplatCamera& camera) {
-  SplatCamera& mine = cameras_[view_id] = camera;
+  auto& [asked, mine] = cameras_[view_id] = {sequence, camera};
   mine.extent_scale = extentScale(settings);
   std::tie(mine.ndc_scale, mine.ndc_offset) = depthBuffer(
       camera.orthographic, camera.near_clip, depthRange(camera.near_clip, camera.far_clip));
@@ -90,7 +90,7 @@ void OffscreenRenderer::setCamera(const std::string& view_id, std::uint64_t sequ
 const SplatCamera& OffscreenRenderer::cameraOf(const std::string& view_id) const {
   const auto found = cameras_.find(view_id);
   if (found == cameras_.end()) throw std::runtime_error("view '" + view_id + "' has no camera");
-  return found->second;
+  return found->second.second;
 }
 
 SplatScene& OffscreenRenderer::drawn() {
@@ -124,6 +124,10 @@ void OffscreenRenderer::paintBackground() {
 
 FrameReport OffscreenRenderer::draw(const std::string& view_id, bool sort_now) {
   const SplatCamera& camera = cameraOf(view_id);
+  if (camera.extent_scale != extentScale(settings)) {  // a scale that was set after the camera
+    const auto [sequence, same] = cameras_.at(view_id);
+    setCamera(view_id, sequence, same);
+  }
   drawn_ = false;
   resize(camera.width, camera.height);
   view_id_ = view_id;

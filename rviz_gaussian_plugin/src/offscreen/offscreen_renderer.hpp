@@ -6,9 +6,11 @@
 
 #include <array>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "gl/gl_objects.hpp"
@@ -74,7 +76,7 @@ class OffscreenRenderer {
   std::array<float, 3> background_{};
   std::optional<gl::Program> clear_;                 // unset without a graphics card
   std::vector<std::unique_ptr<SplatCloud>> clouds_;  // one for each map
-  std::map<std::string, SplatCamera> cameras_;
+  std::map<std::string, std::pair<std::uint64_t, SplatCamera>> cameras_;  // with their sequence
   std::string view_id_;
   bool drawn_ = false;   // whether the last draw() succeeded
   bool picked_ = false;  // whether pick() was called since
