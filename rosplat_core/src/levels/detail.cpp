@@ -132,6 +132,7 @@ std::optional<double> DetailControl::drew(double error, std::size_t drawn) {
   }
   const double next = errorForBudget();
   if (next == 0 && of.fine == 0) return 0;
+  if (!of.coarse && expected == 0) return kCoarsestError;  // it knows none of these splats
   if (!of.coarse) {
     const double too_many = double(drawn) / of.most;
     return std::max(next, of.fine * std::clamp(std::sqrt(too_many), kLeastStep, 2.0));

@@ -14,6 +14,8 @@ namespace rosplat {
 namespace {
 
 constexpr std::size_t kMostPairs = std::size_t{1} << 24;  // in a slice: 256 MiB with their lists
+constexpr std::size_t kUncounted = std::size_t{1}
+                                   << 16;  // pairs that a thread adds to them at once
 
 // Finds the tiles [first, last) that a splat may cover in a row; see across() in splat_tiles.glsl.
 void columnsOf(const Footprint& f, int row, int& first, int& last) {
@@ -139,13 +141,17 @@ bool CpuRasterizer::Work::project(const DepthSlice& slice) {
           kernels.project(layer.project, of.slots, member.places.data(), count, &records[out],
                           member.footprints.data(), member.kept.data());
       part.of_layers[of.layer] += seen;
-      const std::size_t before = part.pairs.size;
-      for (std::size_t k = 0; k < seen; ++k, ++out) {
+      std::size_t counted = part.pairs.size;
+      for (std::size_t k = 0; k < seen && pairs <= kMostPairs; ++k, ++out) {
         const std::uint16_t number = member.kept[k];
         keys[out] = run[hides ? member.numbers[number] : number].key;
         findTiles(member.footprints[k], static_cast<std::uint32_t>(out), part);
+        if (part.pairs.size - counted > kUncounted) {
+          pairs += part.pairs.size - counted;
+          counted = part.pairs.size;
+        }
       }
-      pairs += part.pairs.size - before;
+      pairs += part.pairs.size - counted;
     }
     part.drawn = out - part.begin;
   });
