@@ -24,13 +24,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from rosplat_core.generated.rooms import DOOR_ASIDE, ROOMS, SIZE, WALL
-from rosplat_core.occupancy import Grid, OccupancyMap, grid_of
+from rosplat_core.occupancy import OccupancyMap, grid_of
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, SaveMap
+from rosplat_sorter.batches import apply
 from rosplat_sorter.qos import MAP
 from rosplat_testing import PATIENCE
 from rosplat_testing.studio import Log, transform
+from rosplat_tools import map_subscriber
 from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.obstacles import occupancy
 from rosplat_tools.program.running import spinning
@@ -259,11 +261,15 @@ def running(node: Node, *parameters: str) -> Iterator[None]:
 def test_a_grid_that_takes_long_shows_all_batches_that_have_come(
     monkeypatch: pytest.MonkeyPatch, node: Node, listener: Any
 ) -> None:
-    def slowly(*given: Any) -> Grid:
-        time.sleep(0.5)
-        return grid_of(*given)
+    def slow(work: Callable[..., Any], seconds: float) -> Callable[..., Any]:
+        def slowly(*given: Any) -> Any:
+            time.sleep(seconds)
+            return work(*given)
 
-    monkeypatch.setattr(occupancy, "grid_of", slowly)
+        return slowly
+
+    monkeypatch.setattr(occupancy, "grid_of", slow(grid_of, 0.5))
+    monkeypatch.setattr(map_subscriber, "apply", slow(apply, 0.05))
     grid = Heard(node, OccupancyGrid, "gaussians/occupancy")
     publisher = MapPublisher(node)
     with running(node, "resolution:=0.1", "period:=0.05"):
@@ -271,6 +277,7 @@ def test_a_grid_that_takes_long_shows_all_batches_that_have_come(
         listener.wait(lambda: grid.message)
         for number in range(20):
             publisher.upsert([8192 + number], wall(1.05)[:1])
+            time.sleep(0.03)  # or batches are lost, and pulled
         publisher.upsert(range(8192, 8192 + len(wall(1.05))), wall(1.05))
         before = grid.count
         listener.wait(lambda: grid.at(1.05, 0) == 100)
