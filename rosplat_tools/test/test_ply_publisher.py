@@ -61,7 +61,6 @@ def test_the_scene_of_the_parameter_is_published_whole(
     assert {batch.expected_slots for batch in listener.batches} == {5000}
 
 
-@pytest.mark.skipif(importlib.util.find_spec("pxr") is None, reason="usd-core is not installed")
 def test_a_path_may_begin_with_the_users_folder(
     monkeypatch: pytest.MonkeyPatch, start: Start, listener: Any, ply: Path
 ) -> None:
@@ -70,6 +69,7 @@ def test_a_path_may_begin_with_the_users_folder(
     listener.wait_for(5000)
 
 
+@pytest.mark.skipif(importlib.util.find_spec("pxr") is None, reason="usd-core is not installed")
 def test_the_vertical_of_a_scene_is_that_of_what_is_saved(
     start: Start, listener: Any, random_splats: Maker, tmp_path: Path
 ) -> None:
