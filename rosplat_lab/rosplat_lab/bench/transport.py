@@ -38,7 +38,7 @@ ACQUAINTANCE = 4.0  # until publisher, sorter and viewer know each other: DDS as
 
 # Ways to send splats, in words.
 WAYS = {
-    "gaussians": "GaussianArray: arrays of 59 numbers a splat",
+    "gaussians": "GaussianArray: packed rows of 59 numbers a splat",
     "poses": "PoseArray: a message a splat, of 7 numbers",
     "markers": "MarkerArray: a message a splat, of 14 numbers",
 }
