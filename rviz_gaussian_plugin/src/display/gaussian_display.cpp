@@ -164,7 +164,7 @@ void GaussianDisplay::subscribe() {
     serve();
     if (!loader_ || loader_->topic() != topic) {
       // The file is of the topic that it was chosen for; another one may have its own map.
-      if (loader_) scene_file_->setString("");
+      if (loader_ && scene_topic_ != topic) scene_file_->setString("");
       loader_ = std::make_unique<SceneLoader>(node, topic);
       openScene();
     }
@@ -183,13 +183,14 @@ void GaussianDisplay::applySettings() {
 }
 
 void GaussianDisplay::openScene() {
+  const std::string path = scene_file_->getStdString(), topic = topic_->getTopicStd();
+  scene_topic_ = topic.empty() ? "/gaussians" : topic;
   if (!initialized() || !isEnabled()) return;
-  const std::string path = scene_file_->getStdString();
   if (path.empty()) {
     if (loader_) loader_->cancel();
     return;
   }
-  if (topic_->getTopicStd().empty()) topic_->setString("/gaussians");
+  if (topic.empty()) topic_->setStdString(scene_topic_);
   if (loader_) loader_->load(path);
 }
 

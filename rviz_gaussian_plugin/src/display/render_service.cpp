@@ -48,10 +48,7 @@ void RenderService::serve() {
   served_ = true;
   try {
     if (!request_ && !take()) {
-      if (kept_ && Clock::now() - taken_ > kKept) {
-        view_.forget();  // its picture, and levels that nobody else draws
-        kept_ = false;
-      }
+      if (kept_ && Clock::now() - answered_ > kKept) forget();
       return;
     }
     SplatScene& scene = cloud_.scene();
@@ -65,10 +62,17 @@ void RenderService::serve() {
     if (!scene.ready(view_.id(), settings(), !answered)) return;
     auto response = draw(!answered);
     request_->answer(response);
+    answered_ = Clock::now();
   } catch (const std::exception& error) {
     request_->refuse(error.what());
+    forget();  // a picture that was asked for
   }
   request_.reset();
+}
+
+void RenderService::forget() {
+  view_.forget();
+  kept_ = false;
 }
 
 bool RenderService::take() {
@@ -147,6 +151,7 @@ void RenderService::refuseUnserved() {
 bool RenderService::refuse(const std::string& why) {
   if (!request_) request_ = client_.takeRenderRequest();
   const bool any = request_.has_value();
+  if (any && kept_) forget();
   for (; request_; request_ = client_.takeRenderRequest()) {
     request_->refuse(why);
   }

@@ -37,6 +37,8 @@ class RenderService {
   using Clock = std::chrono::steady_clock;
 
   bool take();
+  // Lets go of the view: of its picture, and of levels that nobody else draws.
+  void forget();
   Clock::time_point deadline() const;
   RenderSettings settings() const;
   SplatCamera inMapFrame(rosplat_msgs::msg::ViewCamera camera) const;
@@ -49,6 +51,7 @@ class RenderService {
   std::optional<GaussianClient::RenderRequest> request_;
   Detail detail_;               // that request_ asks for
   Clock::time_point taken_;     // when the request's turn came
+  Clock::time_point answered_;  // when the last one was answered
   Clock::time_point deadline_;  // of its order, unless others wait
   bool kept_ = false;           // the scene knows view_
   bool served_ = true;          // serve() was called since the last update
