@@ -28,7 +28,7 @@ from rosplat_core import _core, depth, formats
 from rosplat_core.maps import Arrival
 from rosplat_core.rendering import CpuRenderer, DrawMode, OrderSource, SplatCamera
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
-from rosplat_core.splats import SceneError, splat_bytes
+from rosplat_core.splats import SceneError
 from rosplat_core.view import SortView
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import LoadScene, RenderView, SaveMap
@@ -53,7 +53,7 @@ REPORT = os.environ.get("ROSPLAT_FUZZ_REPORT", "")
 FLOOR = 64 << 20  # what a process may take beyond the map [bytes]
 # Of a display that draws by the processor and a sorter; of a publisher. [bytes]
 PAGE = SLOTS_PER_PAGE * (36 + 4 * 15 + 16 + 1 + 4 * GaussianArray.MAX_CHANNELS)
-PUBLISHED_PAGE = SLOTS_PER_PAGE * (splat_bytes(3) + 4 * GaussianArray.MAX_CHANNELS)
+PUBLISHED_PAGE = SLOTS_PER_PAGE * (36 + 4 * 15 + 4 + 4 * GaussianArray.MAX_CHANNELS)
 PIXEL = 128  # colour and depth, as arrays and in messages on their way [bytes]
 MOST_PIXELS = 1 << 14  # of a picture that is drawn; larger ones only take longer
 

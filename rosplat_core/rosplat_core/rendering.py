@@ -33,8 +33,8 @@ MOST_PSNR = 150.0  # of equal pictures, as JSON has no infinity [dB]
 
 
 def psnr_of(square: float) -> float:
-    """The PSNR of a mean square of errors, for a peak of 1. [dB]"""
-    return min(MOST_PSNR, -10 * math.log10(square)) if square > 0 else MOST_PSNR
+    """The PSNR of a mean square of errors, for a peak of 1; NaN stays NaN. [dB]"""
+    return -10 * math.log10(max(square, 10 ** (-MOST_PSNR / 10)))
 
 
 BATCH_BYTES = 8_000_000  # as in publishers' batches

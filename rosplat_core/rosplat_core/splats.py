@@ -256,7 +256,7 @@ def sh_coefficients(degree: int) -> int:
 
 
 def splat_bytes(sh_degree: int) -> int:
-    """Size of a splat, in memory and in a message. [bytes]"""
+    """Size of a splat in arrays. [bytes]"""
     floats = 3 + 4 + 3 + 1 + 3 * sh_coefficients(sh_degree)
     return 4 * floats
 

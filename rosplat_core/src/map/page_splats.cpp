@@ -7,6 +7,7 @@
 
 #include "map/harmonics.hpp"
 #include "rosplat_core/map/channels.hpp"
+#include "rosplat_core/slots/packed_rows.hpp"
 #include "rosplat_core/slots/packed_slot.hpp"
 
 namespace rosplat {
@@ -18,7 +19,11 @@ std::bitset<PageSplats::kSlots> PageSplats::refer(const SplatsView& splats, std:
   rows_ = splats.rows + first * rowWords(sh_degree_);
   for (const auto& [name, values] : splats.channels) channels_.push_back(values + first);
   keeper_ = std::move(keeper);
-  return std::bitset<kSlots>().set() >> (kSlots - count_);
+  std::bitset<kSlots> used;
+  for (std::size_t i = 0; i < count_; ++i) {
+    used[i] = packed_rows::isUsable(rows_ + rowWords(sh_degree_) * i);
+  }
+  return used;
 }
 
 bool PageSplats::write(std::size_t at, const SplatsView& splats, std::size_t i,
@@ -26,16 +31,18 @@ bool PageSplats::write(std::size_t at, const SplatsView& splats, std::size_t i,
   std::uint32_t* const row = &own_rows_[rowWords(sh_degree_) * at];
   const SplatArrays<const float>& from = splats.arrays;
   const std::size_t known = rowWords(std::min(from.sh_degree, sh_degree_));
-  const bool usable =
-      splats.rows ? allFinite(position.data(), 3) : isUsable(from, i, position.data());
+  const std::uint32_t* const source =
+      splats.rows ? splats.rows + rowWords(from.sh_degree) * i : nullptr;
+  const bool usable = source ? packed_rows::isUsable(source) && allFinite(position.data(), 3)
+                             : isUsable(from, i, position.data());
   if (!usable) {
     const float nowhere[] = {std::nanf(""), 0, 0};
     std::memset(row, 0, rowWords(sh_degree_) * sizeof(*row));
     std::memcpy(row, nowhere, sizeof(nowhere));
     return false;
   }
-  if (splats.rows) {
-    std::copy_n(splats.rows + rowWords(from.sh_degree) * i, known, row);
+  if (source) {
+    std::copy_n(source, known, row);
     std::memcpy(row, position.data(), sizeof(position));
   } else {
     Splat splat;

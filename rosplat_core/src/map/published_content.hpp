@@ -26,7 +26,7 @@ class PublishedContent {
 
   // How splats are to be written.
   struct Plan {
-    int sh_degree = 0;                  // without empty bands
+    int sh_degree = 0;                  // without empty bands, which packed splats keep
     std::vector<std::string> channels;  // that the map will have
     std::vector<std::size_t> places;    // in `channels`, of the splats' channels
   };
@@ -58,7 +58,7 @@ class PublishedContent {
   static std::size_t splatBytes(int sh_degree, std::size_t channel_count, bool listed);
 
   // --- Edits ---
-  // Each is checked, and its memory allocated, by a call of its own: the edit itself doesn't throw.
+  // Each is checked, and its memory allocated, by a call of its own before.
   // If a check throws std::invalid_argument, the map is unchanged; if std::bad_alloc, new pages
   // stay, but empty ones do no harm. revision: of the edit's last batch.
 

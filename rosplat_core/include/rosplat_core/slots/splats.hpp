@@ -15,7 +15,6 @@ namespace rosplat {
 struct SplatsView {
   SplatArrays<const float> arrays;
   // Packed slots, each with its further bands behind it (packed_slot.hpp), in place of the arrays.
-  // All of them are valid.
   const std::uint32_t* rows = nullptr;
   std::array<double, 3> origin{};  // added to each position [m]
   bool antialiased = false;        // trained with opacity compensation (Mip-Splatting)
