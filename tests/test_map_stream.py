@@ -137,6 +137,8 @@ class Wire:
     def serve_repeats(self, *_: object) -> Wire:
         return self
 
+    def start(self) -> None: ...
+
     def close(self) -> None: ...
 
     def resolve_topic_name(self, name: str) -> str:

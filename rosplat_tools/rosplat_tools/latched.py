@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from copy import copy
 from typing import Any
@@ -13,13 +14,14 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosplat_sorter.qos import overridable
 
 WATCH_PERIOD = 1.0  # [s]
+EARLY = 8  # messages
 
 
 class LatchedSubscription:
-    """Hears a topic, and what its publishers keep for late subscribers if all of them do.
+    """Hears a topic, and what its first publishers keep for late subscribers if all of them do.
 
-    A transient local subscription doesn't hear a volatile publisher. So it becomes transient local,
-    and hears the last message again, once publishers are known and all of them are.
+    A transient local subscription doesn't hear a volatile publisher. So it becomes transient local
+    once publishers are known and all of them are, and volatile for good once another one comes.
     """
 
     def __init__(
@@ -31,9 +33,11 @@ class LatchedSubscription:
         profile: QoSProfile,
     ) -> None:
         """profile: of a volatile subscription; parameters override it."""
-        self._node, self._given, self._profile = node, (kind, topic, heard), profile
+        self._node, self._given, self._profile = node, (kind, topic), profile
+        self._heard = heard
         self.topic = node.resolve_topic_name(topic)
-        self._latched = False
+        self._latched: bool | None = None  # no publisher is known yet
+        self._early: deque[Any] = deque(maxlen=EARLY)  # messages until then: some come again
         self._subscription = self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
         node.create_timer(WATCH_PERIOD, self._meet_publishers, clock=steady)
@@ -43,7 +47,18 @@ class LatchedSubscription:
         if self._latched:  # best effort hears nothing that was kept
             adapted.durability = DurabilityPolicy.TRANSIENT_LOCAL
             adapted.reliability = ReliabilityPolicy.RELIABLE
-        return self._node.create_subscription(*self._given, **overridable(self._profile, adapted))
+        return self._node.create_subscription(
+            *self._given, self._hear, **overridable(self._profile, adapted)
+        )
+
+    def _hear(self, message: Any) -> None:
+        if self._latched is None:
+            self._early.append(message)
+        elif message in self._early:
+            return
+        else:
+            self._early.clear()
+        self._heard(message)
 
     def _meet_publishers(self) -> None:
         publishers = [
@@ -55,7 +70,10 @@ class LatchedSubscription:
             and qos.reliability == ReliabilityPolicy.RELIABLE
             for qos in publishers
         )
-        if publishers and latched != self._latched:
-            self._latched = latched
+        if not publishers or self._latched is False:
+            return
+        changes = latched != bool(self._latched)
+        self._latched = latched
+        if changes:
             self._node.destroy_subscription(self._subscription)
             self._subscription = self._subscribe()

@@ -103,6 +103,8 @@ class MapPublisher:
         # A repeat waits for subscribers, which pull meanwhile. Its thread keeps this object until
         # the node ends.
         repeats = ServiceThread(node, RepeatMap, f"{self._topic}/repeat", self._on_repeat)
+        pulls.start()
+        repeats.start()
         # Before Python ends, which no thread outlives. The wire first: a repeat waits no longer.
         self._end = weakref.finalize(self, _close, self._wire, pulls, repeats)
 
@@ -149,7 +151,7 @@ class MapPublisher:
     def snapshot(self) -> tuple[Slots, Splats]:
         """A copy of the map as it is: the slots in use, ascending, and their splats.
 
-        The splats are in the map's frame, each group at its pose.
+        The splats are as displays hold them, in the map's frame, each group at its pose.
         """
         slots, parts = [], []
         for _, pose, own_slots, arrays in self._map.groups():
@@ -353,7 +355,8 @@ class _Wire:
     @property
     def subscribers(self) -> int:
         """Number of the topic's subscribers."""
-        return self._publisher.get_subscription_count() if self._publisher else 0
+        publisher = self._publisher
+        return publisher.get_subscription_count() if publisher else 0
 
     @property
     def rivals(self) -> bool:
@@ -367,7 +370,7 @@ class _Wire:
         """Waits until subscribers have acknowledged all batches, for PATIENCE at most."""
         until = time.monotonic() + PATIENCE
         now = Duration()  # no timeout: rclpy would wait with the interpreter's lock held
-        while self._publisher and not self._publisher.wait_for_all_acked(now):
+        while (publisher := self._publisher) and not publisher.wait_for_all_acked(now):
             if time.monotonic() > until or not self._node.context.ok():
                 return
             time.sleep(0.002)

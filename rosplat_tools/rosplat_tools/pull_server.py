@@ -47,6 +47,9 @@ class ServiceThread:
         self._ended = threading.Event()
         self._ending = self._node.create_guard_condition(self._ended.set)
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Begins to answer."""
         self._thread.start()
 
     def _end_with_author(self) -> None:

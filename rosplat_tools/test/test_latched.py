@@ -1,5 +1,6 @@
 """What was published once, before a subscription began."""
 
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -8,7 +9,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo
 
 from rosplat_testing import Listener
-from rosplat_tools.latched import LatchedSubscription
+from rosplat_tools.latched import WATCH_PERIOD, LatchedSubscription
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -31,3 +32,25 @@ def test_it_is_heard_and_so_is_a_volatile_publisher_beside(node: Node, listener:
     listener.wait(partial(comes, 2, lambda: volatile.publish(CameraInfo(width=2))))
     latched.publish(CameraInfo(width=3))
     listener.wait(partial(comes, 3))
+
+
+def test_nothing_is_heard_twice(node: Node, listener: Listener) -> None:
+    heard: list[int] = []
+    LatchedSubscription(
+        node, CameraInfo, "info", lambda info: heard.append(info.width), qos_profile_sensor_data
+    )
+    latched = node.create_publisher(CameraInfo, "info", LATCHED)
+    listener.wait(latched.get_subscription_count)
+    latched.publish(CameraInfo(width=1))
+    listener.wait(lambda: heard)
+    volatile = node.create_publisher(CameraInfo, "info", 1)
+
+    def newer() -> bool:
+        volatile.publish(CameraInfo(width=2))
+        return heard[-1] == 2
+
+    listener.wait(newer)
+    node.destroy_publisher(volatile)
+    until = time.monotonic() + 2 * WATCH_PERIOD
+    listener.wait(lambda: time.monotonic() > until)
+    assert (heard.count(1), heard[-1]) == (1, 2)

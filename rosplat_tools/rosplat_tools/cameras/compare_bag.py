@@ -126,14 +126,17 @@ class Bag:
                 raise SceneError(f"{shown(self.path)}: {topic}: {error}") from error
 
     def _check_map(self) -> None:
-        books = self.renderer.map
-        if self._announced and not books.missed:
-            return
-        missing = f"{books.missed} batches are missing" if books.missed else "more was to come"
-        raise SceneError(
-            f"{shown(self.path)}: {self._map}: the map isn't complete: {books.splats:,} splats, "
-            f"{missing}: record it from its beginning or with {self._map}/repeat, or give --scene"
-        )
+        books, where = self.renderer.map, f"{shown(self.path)}: {self._map}"
+        if books.missed:
+            raise SceneError(
+                f"{where}: {books.missed} batches of the map are missing: record it from its "
+                f"beginning or with {self._map}/repeat, or give --scene"
+            )
+        if not self._announced:
+            print(
+                f"compare: {where}: more of the map was to come than {books.splats:,} splats",
+                file=sys.stderr,
+            )
 
     def pose(self, image: Image) -> Pose:
         """Where a picture was taken. Raises FrameError or PoseError."""

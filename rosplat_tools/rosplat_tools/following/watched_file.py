@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import glob
 import os
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -56,17 +58,25 @@ class WatchedFile:
 
 def _version(path: Path) -> Version | None:
     try:
-        found = [file.stat() for file in _files(path)]
+        found = [path.stat(), *_stats(_parts(path))]
     except OSError:  # it is being replaced
         return None
     files = sorted((each.st_ino, each.st_size, each.st_mtime_ns) for each in found)
     return Version(path, max(each.st_mtime_ns for each in found), tuple(files))
 
 
-def _files(path: Path) -> list[Path]:
-    """A scene's files, and its folder where it has one of its own."""
-    if path.suffix == ".gltf":
-        return [path, *path.parent.rglob("*.bin")]
-    if path.name in FOLDERS:
-        path = path.parent
-    return [path, *path.rglob("*")] if path.is_dir() else [path]
+def _parts(path: Path) -> Iterator[Path]:
+    """The files beside a scene's own that it may consist of."""
+    if path.suffix.lower() == ".gltf":
+        for buffers in ("*.bin", "*/*.bin"):
+            yield from path.parent.glob(buffers)
+    folder = path.parent if path.name in FOLDERS else path
+    if folder.is_dir():
+        for suffix in (".json", ".webp"):
+            yield from folder.rglob(f"*{suffix}")
+
+
+def _stats(paths: Iterable[Path]) -> Iterator[os.stat_result]:
+    for path in paths:
+        with suppress(OSError):  # it is gone by now
+            yield path.stat()

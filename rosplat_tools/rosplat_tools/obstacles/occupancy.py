@@ -59,7 +59,7 @@ LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
 )
-POLL = 0.02  # longest time between two looks at the map [s]
+POLL = 0.2  # longest time between two looks at ROS and at TF [s]
 STILL = 1e-3  # how far a frame may turn before the voxels are built anew [rad]
 SHRUNK = 0.9  # a map of too many voxels is tried again with at most this share of its splats
 
@@ -146,14 +146,14 @@ class Occupancy(Node):
         """Publishes until ROS ends."""
         due = 0.0
         while self.context.ok():
-            self._came.wait(POLL)
+            self._came.wait(min(POLL, max(due - time.monotonic(), 0.0)))
             self._came.clear()
             with self._lock:
                 self._map.take()
                 if (now := time.monotonic()) >= due:
                     due = now + self._period
                     self._publish()
-                self._report = self._reported()
+                    self._report = self._reported()
 
     def _publish(self) -> None:
         if problem := self._find_problem():
