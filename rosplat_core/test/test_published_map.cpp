@@ -248,6 +248,22 @@ TEST(PublishedMap, ExpectsNoSplatThatIsLeftOut) {
   EXPECT_EQ(sent.at(0).expected_slots, 2u);
 }
 
+TEST(PublishedMap, LeavesOutRowsThatReceiversDrop) {
+  std::vector<Batch> sent;
+  PublishedMap map(20'000, "none", wireTo(sent));
+  auto rows = std::make_shared<std::vector<std::uint32_t>>(rowsOf(10, 0));
+  (*rows)[rowWords(0) * 3 + kSlotWords - 1] = 0x7c00u;  // blue is infinite
+  SplatsView view;
+  view.arrays.count = 10;
+  view.rows = rows->data();
+  map.replace(view, rows, std::nullopt, std::nullopt);
+  EXPECT_EQ(map.size(), 9u);
+  map.upsert(0, view, 0, std::nullopt);
+  EXPECT_EQ(map.size(), 9u);
+  map.upsert(2000, view, 0, std::nullopt);
+  EXPECT_EQ(map.size(), 18u);
+}
+
 TEST(PublishedMap, BatchesAndAnswersKeepToTheirSizes) {
   constexpr std::size_t kChunk = 100'000;
   constexpr std::uint32_t kBlocks = 12'000;
