@@ -84,6 +84,16 @@ def test_another_topic_gets_no_scene_that_was_chosen_for_the_last(
     assert world.node.count_publishers("/another/gaussians") == 0
 
 
+def test_a_scene_that_is_chosen_without_a_topic_keeps_its_name(
+    rviz_alone: Rviz, scene: Path
+) -> None:
+    rviz_alone.set("Map", "Topic", value="")
+    rviz_alone.set("Map", "Scene File", value=str(scene))
+    rviz_alone.until_status("Map", "Scene File", "Error", "the publisher of /gaussians")  # a test's
+    properties = rviz_alone.properties("Map")
+    assert (properties["Topic"], properties["Scene File"]) == ("/gaussians", str(scene))
+
+
 def test_a_dropped_scene_is_opened_and_nothing_else(
     rviz_alone: Rviz, world: World, scene: Path, tmp_path: Path
 ) -> None:
