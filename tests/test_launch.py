@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 import yaml
 
+from rosplat_tools.program.processes import FAST_DDS_WISHES
+
 if TYPE_CHECKING:
     from launch import LaunchContext
     from launch.actions import ExecuteProcess
@@ -169,7 +171,7 @@ def test_topic_and_time_are_those_of_all() -> None:
     for program in started(scene="a.ply", sensors="true").values():
         assert program.remappings["gaussians"] == "gaussians"
         assert program.sim_time is False
-    bag = started(topic="/robot/map", use_sim_time="true")
+    bag = started(topic="/robot/map", use_sim_time="true", sorter="true")
     assert len(bag) == 2
     for program in bag.values():
         assert program.remappings["gaussians"] == "/robot/map"
@@ -194,7 +196,7 @@ def test_in_a_namespace_all_meet() -> None:
 def test_fast_dds_gets_room_where_there_is_any_and_only_here(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for name in ("FASTDDS_BUILTIN_TRANSPORTS", *PROFILES):
+    for name in FAST_DDS_WISHES:
         monkeypatch.delenv(name, raising=False)
     for room, profile in ((2 << 30, "rosplat_msgs/config/fastdds.xml"), (64 << 20, "")):
         free = SimpleNamespace(free=room)
