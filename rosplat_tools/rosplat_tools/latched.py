@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosplat_sorter.qos import overridable
 
 WATCH_PERIOD = 1.0  # [s]
-EARLY = 8  # messages
+EARLY = 8  # messages that are remembered until publishers are known
 
 
 class LatchedSubscription:
@@ -37,7 +37,7 @@ class LatchedSubscription:
         self._heard = heard
         self.topic = node.resolve_topic_name(topic)
         self._latched: bool | None = None  # no publisher is known yet
-        self._early: deque[Any] = deque(maxlen=EARLY)  # messages until then: some come again
+        self._early: deque[Any] = deque(maxlen=EARLY)  # heard until then; some come again
         self._subscription = self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
         node.create_timer(WATCH_PERIOD, self._meet_publishers, clock=steady)
