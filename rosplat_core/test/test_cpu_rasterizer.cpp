@@ -595,6 +595,29 @@ TEST(HostSlots, hold_what_was_written_last) {
   EXPECT_EQ(values[2].slot, 33000000u);
 }
 
+TEST(HostSlots, hold_splats_of_all_degrees_in_one_page) {
+  Scene scene;
+  const auto coefficient = [](int degree, int i) { return 0.01f * float(10 * degree + i % 10); };
+  const std::vector<int> degrees = {1, 0, 3, 2};  // by slot, as they come
+  for (std::uint32_t slot = 0; slot < degrees.size(); ++slot) {
+    const int degree = degrees[slot];
+    std::vector<float> coefficients;
+    const int count = 3 * (degree + 1) * (degree + 1);
+    for (int i = 0; i < count; ++i) coefficients.push_back(coefficient(degree, i));
+    scene.batch.sh_degree = static_cast<std::uint8_t>(degree);
+    scene.batch.add({0, 0, 5}, {1, 1, 1}, 0.5f, coefficients);
+    scene.write(slot);
+  }
+  for (const SplatValues& values : scene.slots.read({0, 1, 2, 3})) {
+    const int degree = degrees[values.slot];
+    ASSERT_EQ(values.sh.size(), 48u);
+    for (int i = 0; i < 48; ++i) {
+      const bool has = i < 3 * (degree + 1) * (degree + 1);
+      EXPECT_NEAR(values.sh[std::size_t(i)], has ? coefficient(degree, i) : 0, 1e-3);
+    }
+  }
+}
+
 TEST(HostSlots, take_memory_for_pages_in_use_alone) {
   Scene scene;
   scene.add({0, 0, 5}, 0.1f, 1, {1, 1, 1});

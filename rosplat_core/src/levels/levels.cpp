@@ -154,12 +154,8 @@ Node NodePage::node(std::size_t i, int sh_degree) const {
 }
 
 std::size_t NodePage::bytes() const {
-  std::size_t bytes = sizeof(*this) + cells.capacity() * sizeof(Cell) +
-                      (members_.capacity() + ends_.capacity()) * sizeof(std::uint32_t);
-  for (std::size_t band = 1; band < slots.bands.size(); ++band) {
-    if (slots.bands[band]) bytes += kSlots * std::size_t(kBandWords[band]) * sizeof(std::uint32_t);
-  }
-  return bytes;
+  return sizeof(*this) + slots.appearanceBytes() + cells.capacity() * sizeof(Cell) +
+         (members_.capacity() + ends_.capacity()) * sizeof(std::uint32_t);
 }
 
 void Levels::mark(const HostSlots& slots, const SlotRuns& runs) {

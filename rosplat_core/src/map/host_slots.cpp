@@ -11,7 +11,7 @@ namespace rosplat {
 
 namespace {
 
-std::size_t bandWords(int band) { return HostSlots::kSlots * kBandWords[band]; }
+constexpr std::size_t kAppearancePadding = 3;  // words: readers take four words at a time
 
 }  // namespace
 
@@ -60,9 +60,7 @@ void HostSlots::apply(const GaussianEdit& edit, double now, ThreadTeam* team) {
 
 // Makes room for the bands and channels that an edit has.
 void HostSlots::makeRoom(const GaussianEdit& edit, Page& page) const {
-  for (int band = 1; band <= edit.sh_degree; ++band) {
-    if (!page.bands[band]) page.bands[band].reset(new std::uint32_t[bandWords(band)]{});
-  }
+  page.reserve(edit.sh_degree);
   for (std::size_t channel = 0; channel < kMostChannels; ++channel) {
     auto& memory = page.channels[channel];
     if (edit.channels[channel].empty() || memory) continue;
@@ -85,7 +83,7 @@ void HostSlots::write(const GaussianEdit& edit, const PageWrite& part, std::uint
     page.widest_parent = kBoundless;
   }
   if (edit.sh_degree < 0) {
-    for (auto& words : page.words) std::fill_n(&words[target], count, 0u);
+    std::fill(page.appearance(target), page.appearance(target + count), 0u);
     std::fill_n(&page.extent[target], count, -1.0f);
     return;
   }
@@ -95,19 +93,14 @@ void HostSlots::write(const GaussianEdit& edit, const PageWrite& part, std::uint
     std::memcpy(position, words, sizeof(position));
     for (std::size_t axis = 0; axis < 3; ++axis) page.position[axis][target + i] = position[axis];
     page.extent[target + i] = edit.extents[source + i];
-    for (std::size_t k = 0; k < page.words.size(); ++k) {
-      page.words[k][target + i] = words[3 + k] | (3 + k == kChangeWord ? change : 0);
-    }
-  }
-  for (int band = 1; band <= sh_degree_; ++band) {
-    const auto coefficients = static_cast<std::size_t>(kBandWords[band]);
-    std::uint32_t* const memory = page.bands[band].get();
-    if (!memory) continue;  // no splat of the page has this band
-    for (std::size_t i = 0; i < count; ++i) {
-      for (std::size_t k = 0; k < coefficients; ++k) {
-        memory[k * kSlots + target + i] =
-            band <= edit.sh_degree ? edit.bands[band][coefficients * (source + i) + k] : 0;
-      }
+    std::uint32_t* to =
+        std::copy(words + kFirstAppearanceWord, words + kSlotWords, page.appearance(target + i));
+    to[-1] |= change;
+    for (int band = 1; band <= page.sh_degree; ++band) {
+      const auto coefficients = static_cast<std::size_t>(kBandWords[band]);
+      to = band <= edit.sh_degree
+               ? std::copy_n(&edit.bands[band][coefficients * (source + i)], coefficients, to)
+               : std::fill_n(to, coefficients, 0u);
     }
   }
   writeChannels(edit, source, page, target, count);
@@ -151,55 +144,69 @@ void HostSlots::dropParents() {
 }
 
 std::size_t HostSlots::bytes() const {
-  std::size_t words = 0;  // of bands, channels and parents
+  std::size_t bytes = pages_.bytes() + memory_.capacity() * sizeof(memory_[0]);
   for (const auto& page : memory_) {
-    for (int band = 1; band <= sh_degree_; ++band) words += page->bands[band] ? bandWords(band) : 0;
-    for (const auto& channel : page->channels) words += channel ? kSlots : 0;
-    words += page->parents ? kSlots : 0;
+    bytes += sizeof(Page) + page->appearanceBytes();
+    for (const auto& channel : page->channels) bytes += channel ? sizeof(*channel) : 0;
+    bytes += page->parents ? sizeof(*page->parents) : 0;
   }
-  return memory_.size() * sizeof(Page) + words * sizeof(std::uint32_t) + pages_.bytes() +
-         memory_.capacity() * sizeof(memory_[0]);
+  return bytes;
+}
+
+void HostSlots::Page::reserve(int degree) {
+  if (degree <= sh_degree) return;
+  const auto to = static_cast<std::size_t>(appearanceWords(degree));
+  std::unique_ptr<std::uint32_t[]> larger(new std::uint32_t[kSlots * to + kAppearancePadding]{});
+  for (std::size_t i = 0; appearances && i < kSlots; ++i) {
+    std::copy_n(appearance(i), appearanceWords(sh_degree), &larger[to * i]);
+  }
+  appearances = std::move(larger);
+  sh_degree = degree;
+}
+
+std::size_t HostSlots::Page::appearanceBytes() const {
+  return appearances ? (kSlots * std::size_t(appearanceWords(sh_degree)) + kAppearancePadding) *
+                           sizeof(std::uint32_t)
+                     : 0;
 }
 
 void HostSlots::Page::empty() {
-  for (auto& of_all : words) of_all.fill(0);
+  std::fill(appearance(0), appearance(kSlots), 0u);
   extent.fill(-1);
   if (parents) parents->fill(0);
 }
 
 void HostSlots::Page::interleave(int band, std::uint32_t* to) const {
-  const std::size_t words = band == 0 ? kSlotWords : std::size_t(kBandWords[band]);
-  for (std::size_t k = 0; k < words; ++k) {
-    const void* const from = band > 0 ? (bands[band] ? &bands[band][k * kSlots] : nullptr)
-                             : k < position.size() ? static_cast<const void*>(position[k].data())
-                                                   : this->words[k - position.size()].data();
-    std::array<std::uint32_t, kSlots> of_all{};
-    if (from) std::memcpy(of_all.data(), from, sizeof(of_all));
-    for (std::size_t i = 0; i < kSlots; ++i) to[words * i + k] = of_all[i];
+  for (std::size_t i = 0; i < kSlots; ++i) {
+    if (band == 0) {
+      for (const PerSlot<float>& axis : position) std::memcpy(to++, &axis[i], sizeof(float));
+      to = std::copy_n(appearance(i), appearanceWords(0), to);
+    } else {
+      to = band <= sh_degree
+               ? std::copy_n(appearance(i) + appearanceBand(band), kBandWords[band], to)
+               : std::fill_n(to, kBandWords[band], 0u);
+    }
   }
 }
 
-PackedSlot HostSlots::Page::packed(std::size_t i, int sh_degree) const {
+PackedSlot HostSlots::Page::packed(std::size_t i, int degree) const {
   PackedSlot slot;
   for (std::size_t k = 0; k < slot.words.size(); ++k) slot.words[k] = word(k, i);
-  for (int band = 1; band <= sh_degree; ++band) {
-    for (int k = 0; bands[band] && k < kBandWords[band]; ++k) {
-      slot.bands[band][k] = bands[band][std::size_t(k) * kSlots + i];
-    }
+  for (int band = 1; band <= std::min(degree, sh_degree); ++band) {
+    std::copy_n(appearance(i) + appearanceBand(band), kBandWords[band], slot.bands[band].begin());
   }
   return slot;
 }
 
-void HostSlots::Page::put(std::size_t i, const PackedSlot& slot, int sh_degree) {
+void HostSlots::Page::put(std::size_t i, const PackedSlot& slot, int degree) {
+  reserve(degree);
   for (std::size_t axis = 0; axis < 3; ++axis) {
     std::memcpy(&position[axis][i], &slot.words[axis], sizeof(float));
   }
-  for (std::size_t k = 0; k < words.size(); ++k) words[k][i] = slot.words[3 + k];
+  std::uint32_t* to =
+      std::copy(slot.words.begin() + kFirstAppearanceWord, slot.words.end(), appearance(i));
   for (int band = 1; band <= sh_degree; ++band) {
-    if (!bands[band]) bands[band].reset(new std::uint32_t[bandWords(band)]{});
-    for (int k = 0; k < kBandWords[band]; ++k) {
-      bands[band][std::size_t(k) * kSlots + i] = slot.bands[band][k];
-    }
+    to = std::copy_n(slot.bands[band].begin(), kBandWords[band], to);
   }
 }
 
@@ -226,7 +233,7 @@ GaussianEdit HostSlots::edit(const SlotPage& of) const {
   run.slots.resize(kSlots * kSlotWords);
   at(of).interleave(0, run.slots.data());
   for (int band = 1; band <= sh_degree_; ++band) {
-    run.bands[band].resize(bandWords(band));
+    run.bands[band].resize(kSlots * std::size_t(kBandWords[band]));
     at(of).interleave(band, run.bands[band].data());
   }
   for (std::size_t channel = 0; channel < channels_; ++channel) {

@@ -198,58 +198,82 @@ Floats radiance(Floats c) { return c > 0.0f ? min(c, all(65504.0f)) : all(0.0f);
 
 // Adds a band of harmonics, in the slot's unit: a coefficient is a fraction of that, -1 to 1.
 template <int kCount>
-void addBand(Vec3& c, const std::uint32_t* band, const Places& places,
-             const Floats (&basis)[kCount]) {
+void addBand(Vec3& c, const Words* band, const Floats (&basis)[kCount]) {
   for (int k = 0; k < kCount; ++k) {
-    const Words word = places.of(band + k * kSlots);
+    const Words word = band[k];
     c.x += basis[k] * (signedBits(word, 0, 11) * (1.0f / 1023.0f));
     c.y += basis[k] * (signedBits(word, 11, 11) * (1.0f / 1023.0f));
     c.z += basis[k] * (signedBits(word, 22, 10) * (1.0f / 511.0f));
   }
 }
 
-struct Slot {
-  Words word[6];  // 3 to 8
+// Loads slots' appearances as far as they are wanted.
+class Appearance {
+ public:
+  Appearance(const PageSlots& page, const Places& places) {
+    for (int lane = 0; lane < kLanes; ++lane) {
+      from_[lane] = page.appearances + places[lane] * page.appearance_words;
+    }
+    load(kColour);
+  }
+  Words operator[](int word) const { return words_[word]; }
+  // The words of a band, which begins at `first`.
+  const Words* band(int first, int count) {
+    load(first + count);
+    return words_ + first;
+  }
+
+ private:
+  static constexpr int kColour = 6;  // words before the bands
+
+  void load(int count) {
+    for (; loaded_ < count; loaded_ += 4) loadFour(from_, loaded_, words_ + loaded_);
+  }
+
+  const std::uint32_t* from_[kLanes];
+  Words words_[kMostAppearanceWords];
+  int loaded_ = 0;
 };
 
 // Spherical harmonics in the group's frame (Kerbl et al. 2023).
-Vec3 trainedColour(const ProjectView& view, const PageSlots& page, const Slot& slot,
-                   const Places& places, const Vec3& direction) {
+Vec3 trainedColour(const ProjectView& view, const PageSlots& page, Appearance& appearance,
+                   const Vec3& direction) {
   const auto wanted = [&](int band) {
-    return band <= view.sh_degree && (view.only_band < 0 || band == view.only_band);
+    return page.bands[band] > 0 && band <= view.sh_degree &&
+           (view.only_band < 0 || band == view.only_band);
   };
   const Floats x = direction.x, y = direction.y, z = direction.z;
   const Floats xx = x * x, yy = y * y, zz = z * z;
   Vec3 c = {};
   if (wanted(1)) {
     constexpr float k = 0.4886025119029199f;
-    addBand<3>(c, page.bands[1], places, {-k * y, k * z, -k * x});
+    addBand<3>(c, appearance.band(page.bands[1], 3), {-k * y, k * z, -k * x});
   }
   if (wanted(2)) {
     constexpr float k = 1.0925484305920792f;
-    addBand<5>(c, page.bands[2], places,
+    addBand<5>(c, appearance.band(page.bands[2], 5),
                {k * x * y, -k * y * z, 0.31539156525252005f * (2.0f * zz - xx - yy), -k * x * z,
                 0.5462742152960396f * (xx - yy)});
   }
   if (wanted(3)) {
-    addBand<7>(c, page.bands[3], places,
+    addBand<7>(c, appearance.band(page.bands[3], 7),
                {-0.5900435899266435f * y * (3.0f * xx - yy), 2.890611442640554f * x * y * z,
                 -0.4570457994644658f * y * (4.0f * zz - xx - yy),
                 0.3731763325901154f * z * (2.0f * zz - 3.0f * xx - 3.0f * yy),
                 -0.4570457994644658f * x * (4.0f * zz - xx - yy),
                 1.445305721320277f * z * (xx - yy), -0.5900435899266435f * x * (xx - 3.0f * yy)});
   }
-  c = halfToFloats(slot.word[3] >> 16) * c;
-  if (wanted(0)) {
-    c = c + all(0.28209479177387814f) * Vec3{halfToFloats(slot.word[4] & 0xffffu),
-                                             halfToFloats(slot.word[4] >> 16),
-                                             halfToFloats(slot.word[5] & 0xffffu)};
+  c = halfToFloats(appearance[3] >> 16) * c;
+  if (view.only_band <= 0) {
+    c = c + all(0.28209479177387814f) * Vec3{halfToFloats(appearance[4] & 0xffffu),
+                                             halfToFloats(appearance[4] >> 16),
+                                             halfToFloats(appearance[5] & 0xffffu)};
   }
   return {radiance(c.x + 0.5f), radiance(c.y + 0.5f), radiance(c.z + 0.5f)};
 }
 
 Vec3 colourOf(const ProjectView& view, const GroupView& group, const PageSlots& page,
-              const Slot& slot, const Places& places, const Vec3& mean, Floats depth,
+              Appearance& appearance, const Places& places, const Vec3& mean, Floats depth,
               const Vec3& scale, const Vec3* orientation, Floats opacity) {
   if (view.mode == DrawMode::kOpacity) return turbo(opacity);
   if (view.mode == DrawMode::kDepth) {
@@ -257,7 +281,7 @@ Vec3 colourOf(const ProjectView& view, const GroupView& group, const PageSlots& 
     return turbo(1.0f - (depth - view.depth_range[0]) / most(range, 1e-6f));
   }
   if (view.mode == DrawMode::kAge) {
-    Floats ticks = view.now - toFloats((Ints)(slot.word[5] >> 16));
+    Floats ticks = view.now - toFloats((Ints)(appearance[5] >> 16));
     ticks = ticks < 0.0f ? ticks + 65536.0f : ticks;
     return turbo(1.0f - 0.25f * ticks / view.age_range);
   }
@@ -276,7 +300,7 @@ Vec3 colourOf(const ProjectView& view, const GroupView& group, const PageSlots& 
     return {0.5f + inMap(group.to_box[0]), 0.5f + inMap(group.to_box[1]),
             0.5f + inMap(group.to_box[2])};
   }
-  return trainedColour(view, page, slot, places, direction);
+  return trainedColour(view, page, appearance, direction);
 }
 
 // Pixels whose centres are in a range: the first, and one past the last.
@@ -368,14 +392,19 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
   for (std::size_t first_of = 0; first_of < count; first_of += kLanes) {
     const int lanes = int(least(std::size_t(kLanes), count - first_of));
     const Places places(places_of + first_of, lanes);
+    for (std::size_t i = first_of + kLanes; i < least(first_of + 2 * kLanes, count); ++i) {
+      const std::uint32_t* const next = page.appearances + places_of[i] * page.appearance_words;
+      __builtin_prefetch(next);
+      __builtin_prefetch(next + page.appearance_words - 1);
+      if (page.appearance_words > 17) __builtin_prefetch(next + 16);
+    }
     const Vec3 mean = {places.of(page.position[0]), places.of(page.position[1]),
                        places.of(page.position[2])};
-    Slot slot;
-    for (int k = 0; k < 6; ++k) slot.word[k] = places.of(page.words + k * kSlots);
+    Appearance appearance(page, places);
 
     const Vec3 p = {transform(group.to_camera[0], mean), transform(group.to_camera[1], mean),
                     transform(group.to_camera[2], mean)};
-    const Floats trained_opacity = toFloats((Ints)(slot.word[0] & 0xffffu)) * page.opacity_unit;
+    const Floats trained_opacity = toFloats((Ints)(appearance[0] & 0xffffu)) * page.opacity_unit;
     const Floats share =
         page.parents ? shareOf(view.cut, group.eye, mean, places.of(page.parents), page.own_cell)
                      : all(1.0f);
@@ -398,14 +427,14 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
     }
 
     // Covariance in the picture: rows of J W R S times their transposes.
-    Vec3 scale = {scaleOf(slot.word[0] >> 16), scaleOf(slot.word[1] & 0xffffu),
-                  scaleOf(slot.word[1] >> 16)};
+    Vec3 scale = {scaleOf(appearance[0] >> 16), scaleOf(appearance[1] & 0xffffu),
+                  scaleOf(appearance[1] >> 16)};
     scale = all(view.scale_modifier) * scale;
     if (view.mode == DrawMode::kBillboard) {
       scale.x = scale.y = scale.z = (scale.x + scale.y + scale.z) / 3.0f;
     }
     Vec3 orientation[3];
-    orientationOf(slot.word[2], slot.word[3], orientation);
+    orientationOf(appearance[2], appearance[3], orientation);
     const auto& [right, down_of, ahead] = group.to_camera;
     const Vec3 rows[2] = {{jx * right[0] + jxz * ahead[0], jx * right[1] + jxz * ahead[1],
                            jx * right[2] + jxz * ahead[2]},
@@ -451,8 +480,8 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
     seen &= counting() < float(lanes);
     if (!any(seen)) continue;
 
-    const Vec3 colour =
-        colourOf(view, group, page, slot, places, mean, p.z, scale, orientation, trained_opacity);
+    const Vec3 colour = colourOf(view, group, page, appearance, places, mean, p.z, scale,
+                                 orientation, trained_opacity);
     const Floats per_sigma = all(kHalfLog2 / 4.0f);  // 4^2 is kSquared
     const Floats u = per_sigma / sqrt(major), v = per_sigma / sqrt(minor);
     static_assert(kSquared == 16);

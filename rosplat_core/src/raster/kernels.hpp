@@ -12,7 +12,8 @@
 
 namespace rosplat::cpu {
 
-constexpr int kMostLanes = 16;  // of any target
+constexpr int kMostLanes = 16;            // of any target
+constexpr int kMostAppearanceWords = 24;  // a multiple of four, which are read at a time
 constexpr int kTilePixels = kTile * kTile;
 
 // A Cut (levels/cut.hpp) in float32.
@@ -42,13 +43,14 @@ struct PageSlots {
   const float* position[3];
   const float* extent;
   const GroupView* group;
-  const std::uint32_t* words;     // words 3 to 8 of packed slots, all slots of each word
-  const std::uint32_t* bands[4];  // all slots of each coefficient; bands[0] is unused
-  const float* channel;           // values of the channel that is drawn
-  const float* parents;           // width of each slot's parent cell [m]; null: drawn in full
-  float own_cell;                 // of nodes: width of their cells [m], else 0
-  float opacity_unit;             // opacity of code 1
-  std::uint32_t first_index;      // Candidate::index of the first slot
+  const std::uint32_t* appearances;  // as in HostSlots::Page
+  int appearance_words;              // of each
+  int bands[4];                      // where a band begins in an appearance; 0: there is none
+  const float* channel;              // values of the channel that is drawn
+  const float* parents;              // width of each slot's parent cell [m]; null: drawn in full
+  float own_cell;                    // of nodes: width of their cells [m], else 0
+  float opacity_unit;                // opacity of code 1
+  std::uint32_t first_index;         // Candidate::index of the first slot
 };
 
 // The uniforms of splat_project.comp.

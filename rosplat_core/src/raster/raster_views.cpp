@@ -142,16 +142,17 @@ void CpuRasterizer::Work::choosePages(const PictureLayer& layer, std::uint32_t n
 
 void CpuRasterizer::Work::choose(const SlotPage& page, const HostSlots::Page& memory,
                                  std::uint32_t layer) {
-  static const std::vector<std::uint32_t> kZeros(std::size_t{7} * kSlots);
   const auto first_index = static_cast<std::uint32_t>(pages.size() * kSlots);
   pages.push_back({{}, &page, layer});
   PageSlots& chosen = pages.back().slots;
   for (int i = 0; i < 3; ++i) chosen.position[i] = memory.position[i].data();
   chosen.extent = memory.extent.data();
   chosen.group = &layers[layer].groups[page.group].floats;
-  chosen.words = memory.words[0].data();
+  static_assert(cpu::kMostAppearanceWords == (appearanceWords(kMaxShDegree) + 3) / 4 * 4);
+  chosen.appearances = memory.appearances.get();
+  chosen.appearance_words = appearanceWords(memory.sh_degree);
   for (int band = 1; band <= kMaxShDegree; ++band) {
-    chosen.bands[band] = memory.bands[band] ? memory.bands[band].get() : kZeros.data();
+    chosen.bands[band] = band <= memory.sh_degree ? appearanceBand(band) : 0;
   }
   static const auto kNoValues = [] {
     HostSlots::PerSlot<float> values;

@@ -150,6 +150,47 @@ inline Words gather(const std::uint32_t* from, Ints index) {
 #endif
 }
 
+// Loads four words from each of kLanes addresses: to[k][lane] = from[lane][k].
+inline void loadFour(const std::uint32_t* const (&from)[kLanes], int first, Words* to) {
+#if defined(__SSE2__)
+  // Four rows in each 128 bits of four vectors: a 4x4 transposition there puts all lanes in place.
+  const auto at = [&](int lane) { return (const __m128i*)(from[lane] + first); };
+#if defined(__AVX512F__)
+  typedef __m512i Wide;
+  const auto rows = [&](int lane) {
+    Wide v = _mm512_castsi128_si512(_mm_loadu_si128(at(lane)));
+    v = _mm512_inserti32x4(v, _mm_loadu_si128(at(lane + 4)), 1);
+    v = _mm512_inserti32x4(v, _mm_loadu_si128(at(lane + 8)), 2);
+    return _mm512_inserti32x4(v, _mm_loadu_si128(at(lane + 12)), 3);
+  };
+#define UNPACK(half, bits, a, b) _mm512_unpack##half##_epi##bits(a, b)
+#elif defined(__AVX2__)
+  typedef __m256i Wide;
+  const auto rows = [&](int lane) {
+    return _mm256_inserti128_si256(_mm256_castsi128_si256(_mm_loadu_si128(at(lane))),
+                                   _mm_loadu_si128(at(lane + 4)), 1);
+  };
+#define UNPACK(half, bits, a, b) _mm256_unpack##half##_epi##bits(a, b)
+#else
+  typedef __m128i Wide;
+  const auto rows = [&](int lane) { return _mm_loadu_si128(at(lane)); };
+#define UNPACK(half, bits, a, b) _mm_unpack##half##_epi##bits(a, b)
+#endif
+  const Wide a = rows(0), b = rows(1), c = rows(2), d = rows(3);
+  const Wide low_ab = UNPACK(lo, 32, a, b), high_ab = UNPACK(hi, 32, a, b);
+  const Wide low_cd = UNPACK(lo, 32, c, d), high_cd = UNPACK(hi, 32, c, d);
+  to[0] = (Words)UNPACK(lo, 64, low_ab, low_cd);
+  to[1] = (Words)UNPACK(hi, 64, low_ab, low_cd);
+  to[2] = (Words)UNPACK(lo, 64, high_ab, high_cd);
+  to[3] = (Words)UNPACK(hi, 64, high_ab, high_cd);
+#undef UNPACK
+#else
+  for (int k = 0; k < 4; ++k) {
+    for (int lane = 0; lane < kLanes; ++lane) to[k][lane] = from[lane][first + k];
+  }
+#endif
+}
+
 // 2^v for v of -126 to 127, with a relative error of 2e-7.
 inline Floats exp2(Floats v) {
   const Floats rounder = all(12582912.0f);  // 1.5 * 2^23: a sum's low bits are v, rounded

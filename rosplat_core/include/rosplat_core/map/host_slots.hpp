@@ -25,33 +25,42 @@ class HostSlots {
   template <typename T>
   using PerSlot = std::array<T, kSlots>;
 
-  // The numbers that decide whether a slot may be seen lie apart from those that say what it looks
-  // like: most of a map is out of sight.
+  // The numbers that decide whether a slot may be seen lie apart from its appearance: most of a map
+  // is out of sight. The former are read for slot after slot. Appearances are read for the few
+  // slots of a page that are seen at one depth, so each is a row of neighbouring words.
   struct alignas(64) Page {
-    std::array<PerSlot<float>, 3> position;       // [m]
-    PerSlot<float> extent;                        // as in GaussianEdit
-    std::array<PerSlot<std::uint32_t>, 6> words;  // 3 to 8 of a packed slot
-    std::array<std::unique_ptr<std::uint32_t[]>, kMaxShDegree + 1>
-        bands;  // coefficient by coefficient, kSlots of each; null where there are none
+    std::array<PerSlot<float>, 3> position;        // [m]
+    PerSlot<float> extent;                         // as in GaussianEdit
+    int sh_degree = -1;                            // of the appearances; -1: there are none
+    std::unique_ptr<std::uint32_t[]> appearances;  // kSlots rows of appearanceWords(sh_degree)
     std::array<std::unique_ptr<PerSlot<float>>, kMostChannels> channels;  // null: no values
     // Width of the cell whose node stands for each slot when that cell is small in a picture:
     // kBoundless without a node, 0 of empty slots. Null before makeParents(). [m]
     std::unique_ptr<PerSlot<float>> parents;
     float widest_parent = kBoundless;  // no slot has a wider one [m]
 
+    // Makes room for the bands of a degree; a page never loses any.
+    void reserve(int degree);
     void empty();
+    const std::uint32_t* appearance(std::size_t i) const {
+      return &appearances[appearanceWords(sh_degree) * i];
+    }
+    std::uint32_t* appearance(std::size_t i) {
+      return &appearances[appearanceWords(sh_degree) * i];
+    }
     // Word k of the i-th slot as packed_slot.hpp has it.
     std::uint32_t word(std::size_t k, std::size_t i) const {
-      if (k >= position.size()) return words[k - position.size()][i];
+      if (k >= kFirstAppearanceWord) return appearance(i)[k - kFirstAppearanceWord];
       std::uint32_t bits;
       std::memcpy(&bits, &position[k][i], sizeof(bits));
       return bits;
     }
-    PackedSlot packed(std::size_t i, int sh_degree) const;
+    PackedSlot packed(std::size_t i, int degree) const;
     // Writes all slots' words of a band (0: all kSlotWords), slot by slot as in GaussianEdit.
     void interleave(int band, std::uint32_t* to) const;
     // Writes a slot, except its extent.
-    void put(std::size_t i, const PackedSlot& slot, int sh_degree);
+    void put(std::size_t i, const PackedSlot& slot, int degree);
+    std::size_t appearanceBytes() const;
   };
 
   // now: time for `change` in packed_slot.hpp [ticks]; team: threads that help. Throws

@@ -24,6 +24,13 @@ constexpr double kTicksPerSecond = 4;                                // of `chan
 inline constexpr int rowWords(int sh_degree) {
   return kSlotWords + (sh_degree + 1) * (sh_degree + 1) - 1;
 }
+// A row without the position, for memory in which that lies apart (HostSlots).
+constexpr int kFirstAppearanceWord = 3;
+inline constexpr int appearanceWords(int sh_degree) {
+  return rowWords(sh_degree) - kFirstAppearanceWord;
+}
+// Where a band, from 1 on, begins in it.
+inline constexpr int appearanceBand(int band) { return appearanceWords(band - 1); }
 // Pointers to the bands in a row, by band; null for band 0, which the slot holds.
 template <typename Word>
 std::array<Word*, kMaxShDegree + 1> bandsOf(Word* row) {
@@ -39,7 +46,7 @@ struct Splat {
   std::array<float, 3> color{};        // band 0 of the spherical harmonics
 };
 
-// A copy of a slot's words, for memory in which they lie apart (HostSlots) and for nodes.
+// A copy of a slot's words, for a node, or out of memory in which they lie apart (HostSlots).
 struct PackedSlot {
   std::array<std::uint32_t, kSlotWords> words{};
   std::array<std::array<std::uint32_t, kBandWords.back()>, kMaxShDegree + 1> bands{};
