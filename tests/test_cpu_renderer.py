@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -149,6 +150,16 @@ def test_contributions_of_slices_of_depth_add_up() -> None:
     renderer.contribute(posed(camera), found)
     alpha = draw(renderer, camera)["colour"][..., 3].sum()
     assert 0.99 * alpha < found.weight.sum() <= 1.0001 * alpha
+
+
+def test_threads_that_share_a_renderer_wait_for_one_another() -> None:
+    renderer = CpuRenderer(cloud())
+    expected = {name: renderer.render(camera) for name, camera in CAMERAS.items()}
+    with ThreadPoolExecutor(4) as pool:
+        for name, picture in zip(
+            list(CAMERAS) * 5, pool.map(renderer.render, list(CAMERAS.values()) * 5), strict=True
+        ):
+            np.testing.assert_array_equal(picture, expected[name])
 
 
 def test_a_map_far_from_its_origin_is_as_sharp(renderer: CpuRenderer) -> None:

@@ -80,7 +80,7 @@ def align(
     scene: Splats | CpuRenderer,
     picture: ArrayLike,
     camera: Camera,
-    mask: NDArray[np.bool_] | None = None,
+    mask: ArrayLike | None = None,
 ) -> Alignment:
     """Refines the pose of `camera` by a picture that it took.
 
@@ -107,9 +107,7 @@ def align(
     return found
 
 
-def _checked(
-    picture: ArrayLike, camera: Camera, mask: NDArray[np.bool_] | None
-) -> tuple[Pixels, Pixels]:
+def _checked(picture: ArrayLike, camera: Camera, mask: ArrayLike | None) -> tuple[Pixels, Pixels]:
     """Colours of 0 to 1, and how much each pixel counts."""
     if camera.orthographic:
         raise ValueError("camera: expected a perspective, got an orthographic one")
@@ -117,16 +115,15 @@ def _checked(
     size = camera.height, camera.width
     if pixels.shape != (*size, 3):
         raise ValueError(f"picture: expected an array {(*size, 3)}, got {pixels.shape}")
-    if mask is not None and mask.shape != size:
-        raise ValueError(f"mask: expected an array {size}, got {mask.shape}")
+    counted = np.ones(size, bool) if mask is None else np.asarray(mask, bool)
+    if counted.shape != size:
+        raise ValueError(f"mask: expected an array {size}, got {counted.shape}")
     colours: Pixels = pixels.astype(np.float32)
     if pixels.dtype == np.uint8:
         colours /= 255
     counts = np.isfinite(colours).all(axis=-1)
     colours[~counts] = 0
-    if mask is not None:
-        counts &= mask
-    return colours, np.asarray(counts, np.float32)
+    return colours, np.asarray(counts & counted, np.float32)
 
 
 # --- Pixels ---------------------------------------------------------------------------------------

@@ -74,7 +74,7 @@ class Camera:
         if not 0 < self.near < self.far:
             raise ValueError(f"near, far are {self.near}, {self.far}, expected 0 < near < far")
         try:
-            transform = np.asarray(self.world_to_camera, np.float64)
+            transform = np.array(self.world_to_camera, np.float64)  # a copy: callers go on
         except (TypeError, ValueError, OverflowError):
             transform = np.empty(0)
         if transform.shape != (4, 4) or not np.isfinite(transform).all():
@@ -89,7 +89,8 @@ class Camera:
     def position(self) -> NDArray[np.float64]:
         """(3,) centre of projection in the world. [m]"""
         rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
-        return -rotation.T @ translation
+        # Not by the transpose: a rotation of few digits, far from 0, would be metres off.
+        return np.asarray(np.linalg.solve(rotation, -translation), np.float64)
 
     @property
     def camera_to_world(self) -> NDArray[np.float64]:

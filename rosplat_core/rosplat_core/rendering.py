@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,7 @@ _NO_SLOTS: NDArray[np.uint32] = np.zeros(0, np.uint32)
 
 
 class CpuRenderer(_core.CpuRenderer):
-    """Holds a map in memory and draws pictures of it. Use it from one thread at a time."""
+    """Holds a map in memory and draws pictures of it. Threads that render wait for one another."""
 
     def __init__(
         self,
@@ -57,12 +58,14 @@ class CpuRenderer(_core.CpuRenderer):
         instructions of the processor to draw with, by default the best that it has.
         """
         super().__init__(threads, instructions)
+        self._drawing = Lock()
         if splats is not None:
             insert_all(self, splats)
 
     def render(self, camera: Camera) -> NDArray[np.float32]:
         """What a camera sees: premultiplied RGBA over nothing, float32 (height, width, 4)."""
-        colour: NDArray[np.float32] = self.draw(posed(camera))["colour"]
+        with self._drawing:
+            colour: NDArray[np.float32] = self.draw(posed(camera))["colour"]
         return colour
 
 

@@ -36,7 +36,10 @@ def slot_order(splats: Splats) -> NDArray[np.intp]:
     """Indices (n,) that put splats of finite positions in the order of a map's slots.
 
     Large splats come first; those of one size, within a factor of four, are in space order.
+    Raises ValueError for a position that isn't finite.
     """
+    if not np.isfinite(splats.positions).all():
+        raise ValueError("positions: expected finite numbers")
     return order_by_size(splats.positions, splats.scales.max(axis=1, initial=0))
 
 
@@ -50,8 +53,15 @@ def order_by_size(positions: NDArray[np.float32], sizes: NDArray[np.float32]) ->
 
 
 def put_in_slot_order(splats: Splats) -> None:
-    """Reorders splats of finite positions where they are, without a copy."""
+    """Reorders splats of finite positions where they are, without a copy.
+
+    Other Splats that share an array with these, as moved() and replace() make them, are damaged:
+    reorder before you make them. Raises ValueError for an array that can't be written, and for
+    positions that aren't finite; then nothing has changed.
+    """
     order = slot_order(splats)
+    if not all(array.flags.writeable for array in splats.arrays):
+        raise ValueError("splats: an array is read-only; take splats[slot_order(splats)] instead")
     for array in splats.arrays:
         _core.put_in_order(array, order)
 

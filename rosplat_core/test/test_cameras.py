@@ -60,6 +60,17 @@ def test_pose_and_position_invert_the_transform() -> None:
     )
 
 
+def test_a_rotation_of_few_digits_far_away_leaves_the_camera_in_its_place() -> None:
+    place = np.array([4.5e5, 5.2e6, 30.0])
+    rounded = look_at(place, place + np.array([1, 2, 0.5]))
+    rounded[:3, :3] = rounded[:3, :3].round(5)
+    rounded[:3, 3] = -rounded[:3, :3] @ place
+    found = replace(camera(), world_to_camera=rounded)
+    np.testing.assert_allclose(found.position, place, atol=1e-6)
+    rounded[:] = 0  # a camera keeps its own numbers
+    np.testing.assert_allclose(found.position, place, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [

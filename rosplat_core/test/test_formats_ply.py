@@ -78,6 +78,21 @@ def test_further_properties_are_channels(
         save(tmp_path / "c.ply", replace(splats, channels={"opacity": np.zeros(3)}))
 
 
+@pytest.mark.parametrize(
+    ("ending", "warns"),
+    [(".ply", False), (".glb", False), (".sog", False), (".spz", True), (".splat", True)],
+)
+def test_who_keeps_no_origin_warns_of_splats_far_away(
+    random_splats: Make, tmp_path: Path, caplog: pytest.LogCaptureFixture, ending: str, warns: bool
+) -> None:
+    far = replace(random_splats(30), origin=np.array([4.5e5, 5.2e6, 0.0]))
+    ordered = save(tmp_path / f"a{ending}", far)
+    assert ("keeps no origin" in caplog.text) == warns
+    read = load(tmp_path / f"a{ending}")
+    off = read.positions + read.origin - (ordered.positions + ordered.origin)
+    assert (np.abs(off).max() > 0.01) == warns
+
+
 def test_no_splats(random_splats: Make, tmp_path: Path) -> None:
     save(tmp_path / "a.ply", random_splats(0))
     assert len(load(tmp_path / "a.ply")) == 0

@@ -54,6 +54,18 @@ def test_each_splat_stays_whole() -> None:
         np.testing.assert_array_equal(array, wanted)
 
 
+def test_nothing_changes_where_an_array_cannot_be_written_or_a_position_is_nowhere() -> None:
+    splats = generate(2000)
+    before = splats.positions.copy()
+    splats.opacities.flags.writeable = False
+    with pytest.raises(ValueError, match="read-only"):
+        put_in_slot_order(splats)
+    np.testing.assert_array_equal(splats.positions, before)
+    splats.positions[7, 1] = np.nan
+    with pytest.raises(ValueError, match="positions: expected finite numbers"):
+        slot_order(splats)
+
+
 def test_pages_become_small() -> None:
     def size_of_pages(positions: np.ndarray) -> float:
         pages = positions[: len(positions) // 1024 * 1024].reshape(-1, 1024, 3)

@@ -27,13 +27,19 @@ def _processor() -> str:
 
 def commit() -> str:
     """The commit of the checkout that this runs in, else $ROSPLAT_COMMIT, else empty."""
+    top = _git("rev-parse", "--show-toplevel")
+    here = top and (Path(top) / __name__.partition(".")[0]).is_dir()  # not another project's
+    return (here and _git("describe", "--always", "--dirty")) or os.environ.get(
+        "ROSPLAT_COMMIT", ""
+    )
+
+
+def _git(*command: str) -> str:
     try:
-        git = subprocess.run(
-            ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-        )
+        git = subprocess.run(["git", *command], capture_output=True, text=True, check=False)
     except OSError:
-        return os.environ.get("ROSPLAT_COMMIT", "")
-    return git.stdout.strip() or os.environ.get("ROSPLAT_COMMIT", "")
+        return ""
+    return git.stdout.strip()
 
 
 def resident_bytes(pid: int | None = None) -> int:

@@ -57,8 +57,9 @@ _log = logging.getLogger(__name__)
 # Each module has NAME, recognises(path, head), axes(path), read(path, progress, warn, into). One
 # that writes has SUFFIXES and write(stream, path, splats): path, which stream will replace, tells
 # the ending and is named in errors. Optional: IN_SPACE_ORDER (it packs neighbours), FINITE (it has
-# no other numbers), KEEPS_CHANNELS, TELLS_UP (write takes the vertical, too), require(path) (raises
-# where a package is missing), DRAWN (how the format has its splats drawn, if otherwise).
+# no other numbers), KEEPS_CHANNELS, KEEPS_ORIGIN (splats may lie far from 0), TELLS_UP (write takes
+# the vertical, too), require(path) (raises where a package is missing), DRAWN (how the format has
+# its splats drawn, if otherwise).
 FORMATS: tuple[ModuleType, ...] = (
     compressed_ply,
     ply,
@@ -170,6 +171,8 @@ def save(path: str | Path, splats: Splats, up: tuple[float, float, float] | None
             "%s: left out %s: %s has no channels", path, ", ".join(splats.channels), writer.NAME
         )
         splats = replace(splats, channels={})
+    if not getattr(writer, "KEEPS_ORIGIN", False):
+        _warn_of_far_splats(path, writer, splats)
     with _told(path):
         packs = getattr(writer, "IN_SPACE_ORDER", False)
         if packs or getattr(writer, "FINITE", False):
@@ -185,6 +188,18 @@ def save(path: str | Path, splats: Splats, up: tuple[float, float, float] | None
         ):
             writer.write(stream, path, splats, **more)
     return splats
+
+
+def _warn_of_far_splats(path: Path, writer: ModuleType, splats: Splats) -> None:
+    """Warns where 32-bit positions are coarser than the median splat."""
+    if not splats.origin.any() or not len(splats):
+        return
+    step = float(np.spacing(np.float32(np.abs(splats.origin).max())))
+    if step > np.median(splats.scales.max(axis=1)):
+        _log.warning(
+            "%s: %s keeps no origin, and so far from 0 its positions are coarser than the splats: "
+            "PLY, glTF, OpenUSD and SOG keep it", path, writer.NAME,
+        )  # fmt: skip
 
 
 def _require_finite(path: Path, splats: Splats) -> None:

@@ -44,6 +44,7 @@ from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficien
 NAME = "glTF"
 SUFFIXES = (".glb",)
 FINITE = True
+KEEPS_ORIGIN = True
 DRAWN = "sorted by distance from the camera, cut at 3 sigma"
 
 EXTENSION = "KHR_gaussian_splatting"

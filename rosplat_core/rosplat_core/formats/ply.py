@@ -35,6 +35,7 @@ from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficien
 NAME = "PLY"
 SUFFIXES = (".ply",)
 KEEPS_CHANNELS = True
+KEEPS_ORIGIN = True
 
 POSITION = ["x", "y", "z"]
 NORMAL = ["nx", "ny", "nz"]

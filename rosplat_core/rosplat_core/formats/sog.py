@@ -51,6 +51,7 @@ from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficien
 NAME = "SOG"
 SUFFIXES = (".sog",)
 IN_SPACE_ORDER = True
+KEEPS_ORIGIN = True  # as ranges in doubles
 
 META = "meta.json"
 LARGEST_META = 1 << 20  # of meta.json, which usually takes 15,000 [bytes]

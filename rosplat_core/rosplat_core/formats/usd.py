@@ -45,6 +45,7 @@ from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficien
 NAME = "OpenUSD"
 SUFFIXES = (".usdc", ".usda", ".usdz", ".usd")
 FINITE = True
+KEEPS_ORIGIN = True
 TELLS_UP = True
 
 BEGINNINGS = (b"#usda", b"PXR-USDC")
