@@ -203,6 +203,8 @@ def test_the_selection_follows_the_map(rviz: Rviz, world: World, picked: list[An
     world.map.upsert(range(1), moved)
     rviz.click(*spot(rviz, red))
     until_selected(rviz, world, {"Slot 0"})
+    world.map.replace(disc((0, 0, 1), sigma=0.2))  # a new map's slots are other splats
+    until_selected(rviz, world, set())
 
 
 def test_the_camera_looks_at_selected_splats_that_are_still_there(

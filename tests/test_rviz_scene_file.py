@@ -84,6 +84,31 @@ def test_another_topic_gets_no_scene_that_was_chosen_for_the_last(
     assert world.node.count_publishers("/another/gaussians") == 0
 
 
+def test_a_choice_that_is_made_while_the_display_is_off_counts_when_it_is_on(
+    rviz_alone: Rviz, world: World, scene: Path
+) -> None:
+    rviz_alone.set("Map", value=False)
+    rviz_alone.set("Map", "Scene File", value=str(scene))
+    rviz_alone.set("Map", value=True)
+    rviz_alone.until_status("Map", "Scene File", "Ok", f"{scene}: 1 splats", "loaded")
+    rviz_alone.set("Map", value=False)
+    rviz_alone.set("Map", "Scene File", value="")
+    rviz_alone.set("Map", value=True)
+    world.spin_until(lambda: publishers(world) == 0)
+
+
+def test_displays_of_one_topic_share_the_publisher_that_one_of_them_starts(
+    rviz_alone: Rviz, world: World, scene: Path
+) -> None:
+    names = ("First", "Second")
+    of_scene = {"Scene File": str(scene)}
+    rviz_alone.load(configuration(*(map_display(n, topic=TOPIC, **of_scene) for n in names)))
+    for name in names:
+        rviz_alone.until_status(name, "Scene File", "Ok", f"{scene}: 1 splats", "loaded")
+    infos = world.node.get_publishers_info_by_topic(TOPIC)
+    assert len({info.node_name for info in infos}) == 1
+
+
 def test_a_scene_that_is_chosen_without_a_topic_keeps_its_name(
     rviz_alone: Rviz, scene: Path
 ) -> None:

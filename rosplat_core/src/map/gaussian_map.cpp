@@ -401,6 +401,7 @@ MapState GaussianMap::stateAfter(const GaussianBatch& batch, BatchReport& report
   next.id = batch.map_id;
   next.round = state_.round + (new_map || back ? 1 : 0);
   next.revision = batch.revision;
+  next.begun = state_.begun + (begins(batch) ? 1 : 0);
   next.edits = state_.edits + 1;
   next.expected = batch.expected_slots;
   return next;

@@ -36,6 +36,7 @@ geometry_msgs::msg::Point point(const std::array<float, 3>& p) {
 
 Marker marker(int type, float scale, const std::array<float, 3>& color) {
   Marker message;
+  message.ns = "clip box";
   message.type = type;
   message.pose.orientation.w = 1;
   message.scale.x = message.scale.y = message.scale.z = scale;
@@ -123,6 +124,7 @@ void ClipBoxHandles::place(std::size_t handle) {
     if (axis == 2) control.orientation.y = 1;
   }
   control.markers.push_back(marker(Marker::SPHERE, kHandle * longest, color));
+  control.markers.back().id = static_cast<int>(handle);
   message.controls.push_back(control);
   if (handle == kMiddle) {
     InteractiveMarkerControl outline;

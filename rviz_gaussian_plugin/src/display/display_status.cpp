@@ -110,8 +110,12 @@ StatusLine mapStatus(const MapState& map, const Backlog& backlog) {
   if (map.groups > 1) text += concat(" in ", map.groups, " groups");
   text += concat(", SH degree ", map.sh_degree, map.antialiased ? ", antialiased" : "");
   if (map.pulled) text += "; not all of it is pulled yet";
-  if (map.missed > 0) text += concat("; ", map.missed, " batches are missing");
-  if (map.dropped > 0) text += concat("; ", map.dropped, " splats with invalid values left out");
+  if (map.missed > 0)
+    text +=
+        concat("; ", map.missed, map.missed == 1 ? " batch is missing" : " batches are missing");
+  if (map.dropped > 0)
+    text += concat("; ", map.dropped, map.dropped == 1 ? " splat" : " splats",
+                   " with invalid values left out");
   if (backlog.edits > 0) {
     text += concat("; ", backlog.edits, backlog.edits == 1 ? " batch waits" : " batches wait",
                    " to be drawn, ", backlog.bytes >> 20, " MiB");
@@ -123,7 +127,11 @@ StatusLine mapStatus(const MapState& map, const Backlog& backlog) {
 StatusLine orderStatus(const FrameReport& frame, const std::string& view) {
   std::string text = concat(frame.splats, " splats by ", frame.order_source);
   if (frame.sort_time > 0) text += concat(" in ", frame.sort_time * 1e3, " ms");
-  text += frame.order_fresh ? ", fresh" : concat(", ", frame.order_age * 1e3, " ms old");
+  if (frame.order_fresh) {
+    text += ", fresh";
+  } else if (frame.order_age > 0) {
+    text += concat(", ", frame.order_age * 1e3, " ms old");
+  }
   if (frame.maps > 1) {
     const std::size_t others = frame.maps - 1;
     text += concat(", in one order with ", others, others == 1 ? " other map" : " other maps");

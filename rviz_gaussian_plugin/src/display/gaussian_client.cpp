@@ -257,7 +257,7 @@ void GaussianClient::forget(const std::string& view_id) {
 }
 
 void GaussianClient::watch() {
-  if (now() - watched_ < kWatchPeriod) return;
+  if (now() - watched_ < kWatchPeriod || !rclcpp::ok()) return;
   watched_ = now();
   try {
     sidecar_->tell();

@@ -162,12 +162,13 @@ void GaussianDisplay::subscribe() {
     views_ = std::make_unique<DrawnViews>(name, cloud_->scene(), *client_);
     diagnostics_ = std::make_unique<Diagnostics>(*node, client_->status().topic);
     serve();
-    if (!loader_ || loader_->topic() != topic) {
+    const bool other_topic = !loader_ || loader_->topic() != topic;
+    if (other_topic) {
       // The file is of the topic that it was chosen for; another one may have its own map.
       if (loader_ && scene_topic_ != topic) scene_file_->setString("");
       loader_ = std::make_unique<SceneLoader>(node, topic);
-      openScene();
     }
+    if (other_topic || scene_waits_) openScene();
     switchBackend();
   } catch (const std::exception& error) {
     unsubscribe();
@@ -185,7 +186,8 @@ void GaussianDisplay::applySettings() {
 void GaussianDisplay::openScene() {
   const std::string path = scene_file_->getStdString(), topic = topic_->getTopicStd();
   scene_topic_ = topic.empty() ? "/gaussians" : topic;
-  if (!initialized() || !isEnabled()) return;
+  scene_waits_ = !initialized() || !isEnabled();
+  if (scene_waits_) return;
   if (path.empty()) {
     if (loader_) loader_->cancel();
     return;
@@ -337,6 +339,11 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
   }
   const auto regimes = scene.hardRegimes(cloud_->settings(), cameras);
   if (!regimes.empty()) lines.push_back(accuracyStatus(regimes));
+  const auto [nearest, farthest] = cloud_->settings().depth_range;
+  if (cloud_->settings().mode == DrawMode::kDepth && nearest >= farthest && nearest > 0) {
+    lines.push_back({StatusProperty::Warn, "Depth Range",
+                     "Farthest is not beyond Nearest: colours span the depths in view"});
+  }
   lines.push_back(memoryStatus(bytes.gpu, bytes.host, bytes.shared_gpu, bytes.shared_host));
   return lines;
 }

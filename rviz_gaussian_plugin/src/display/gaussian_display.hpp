@@ -84,7 +84,8 @@ class GaussianDisplay : public rviz_common::Display {
   std::shared_ptr<SplatSelection> picks_;          // of all displays
   std::shared_ptr<MapSelection> selection_;        // of this one
   std::unique_ptr<SceneLoader> loader_;
-  std::string scene_topic_;  // that the scene file was chosen for
+  std::string scene_topic_;   // that the scene file was chosen for
+  bool scene_waits_ = false;  // it was chosen while the display was disabled
   std::unique_ptr<SceneDrop> drop_;
   std::unique_ptr<ClipBoxHandles> handles_;
   bool placed_ = false;  // there is a map, and its pose in the Fixed Frame is known

@@ -131,6 +131,10 @@ void MapSelection::clear() {
 
 bool MapSelection::refresh() {
   const MapState& map = cloud_.scene().drawnMap();
+  if (!slots_.empty() && map.begun != read_begun_) {  // its slots are other splats
+    clear();
+    return true;
+  }
   const bool changed = map.id != read_map_ || map.revision != read_revision_;
   const bool late = std::chrono::steady_clock::now() - read_at_ >= kRefreshPeriod;
   if (slots_.empty() || !changed || !late) return false;
@@ -141,6 +145,7 @@ bool MapSelection::refresh() {
 void MapSelection::read() {
   const MapState& map = cloud_.scene().drawnMap();
   read_map_ = map.id;
+  read_begun_ = map.begun;
   read_revision_ = map.revision;
   read_at_ = std::chrono::steady_clock::now();
   const auto end = slots_.begin() + std::ptrdiff_t(std::min(slots_.size(), kOutlined));

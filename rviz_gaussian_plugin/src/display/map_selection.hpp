@@ -61,7 +61,7 @@ class MapSelection {
   std::vector<std::uint32_t> slots_;  // ascending
   std::vector<SplatValues> splats_;   // values of the first kOutlined slots
   std::string read_map_;              // id of the map when splats_ were read
-  std::uint64_t read_revision_ = 0;
+  std::uint64_t read_begun_ = 0, read_revision_ = 0;
   std::chrono::steady_clock::time_point read_at_;
   std::array<double, 3> origin_{};  // of a splat; outlines are relative to it, for Ogre's floats
   Ogre::SceneNode* outline_node_;   // at origin_

@@ -1,10 +1,14 @@
 #include "scene_loader.hpp"
 
+#include <sys/prctl.h>
+
 #include <QStringList>
 #include <QUuid>
 #include <algorithm>
 #include <ament_index_cpp/get_package_prefix.hpp>
+#include <csignal>
 #include <exception>
+#include <set>
 
 #include "ros_graph.hpp"
 #include "rosplat_tools/ros_versions.hpp"
@@ -19,6 +23,25 @@ constexpr int kGrace = 3000;      // what a publisher gets to end by itself [ms]
 constexpr auto kDiscovery = 5s;   // until nodes that start together know each other
 constexpr auto kMeeting = 500ms;  // until a new client knows its service
 constexpr auto kLookAgain = 100ms;
+
+// A program that ends with this one, even if this one crashes.
+class Child : public QProcess {
+#if QT_VERSION >= QT_VERSION_CHECK(6, 0, 0)
+ public:
+  Child() { setChildProcessModifier(endWithParent); }
+
+ private:
+#else
+  void setupChildProcess() override { endWithParent(); }
+#endif
+  static void endWithParent() { prctl(PR_SET_PDEATHSIG, SIGTERM); }
+};
+
+// Resolved topics of the publishers that displays of this process have started.
+std::multiset<std::string>& startedTopics() {
+  static std::multiset<std::string> topics;
+  return topics;
+}
 
 // Quotes a parameter's value for the command line, which ROS reads as YAML.
 QString quoted(const std::string& text) {
@@ -76,13 +99,20 @@ void SceneLoader::lookForPublisher() {
   if (Clock::now() < choice_ends_) return;
   client_.reset();
   endChoice();
-  if (process_ || publishers.empty()) {  // a publisher started here may not have a service yet
+  if (!process_ && startedTopics().count(resolvedTopic())) {  // another display's, soon ready
+    choice_ends_ = Clock::now() + kMeeting;
+    choice_.start(kLookAgain);
+  } else if (process_ || publishers.empty()) {  // one started here may not have a service yet
     stopPublisher();
     startPublisher(path_);
   } else {
     report("the publisher of " + topic_ + " has no service to load scenes; choose another topic",
            true);
   }
+}
+
+std::string SceneLoader::resolvedTopic() const {
+  return node_->get_node_topics_interface()->resolve_topic_name(topic_);
 }
 
 void SceneLoader::endChoice() {
@@ -106,16 +136,19 @@ void SceneLoader::startPublisher(const std::string& path) {
   try {
     const std::string program =
         ament_index_cpp::get_package_prefix("rosplat_tools") + "/lib/rosplat_tools/ply_publisher";
-    process_ = std::make_unique<QProcess>();
+    process_ = std::make_unique<Child>();
+    const auto started = startedTopics().insert(resolvedTopic());
+    QObject::connect(process_.get(), &QProcess::stateChanged, [started](QProcess::ProcessState to) {
+      if (to == QProcess::NotRunning) startedTopics().erase(started);
+    });
     process_->setProcessChannelMode(QProcess::MergedChannels);
     // A node name of its own, or other displays' publishers would have the same service; and the
     // topic as rviz2 resolves it, which may have a namespace and remappings.
     const QString id = QUuid::createUuid().toString(QUuid::Id128).left(8);
-    const std::string topic = node_->get_node_topics_interface()->resolve_topic_name(topic_);
     process_->start(
         QString::fromStdString(program),
         {"--ros-args", "-p", "path:=" + quoted(path), "-r", "__node:=ply_publisher_" + id, "-r",
-         QString::fromStdString("gaussians:=" + topic)});
+         QString::fromStdString("gaussians:=" + resolvedTopic())});
     status_ = "loading " + path;
   } catch (const ament_index_cpp::PackageNotFoundError&) {
     report("rosplat_tools is not installed: nothing can publish " + path, true);

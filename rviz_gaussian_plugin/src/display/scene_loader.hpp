@@ -36,6 +36,7 @@ class SceneLoader {
 
   void choosePublisher();
   void lookForPublisher();
+  std::string resolvedTopic() const;
   void endChoice();
   void request(const std::string& path);
   void startPublisher(const std::string& path);

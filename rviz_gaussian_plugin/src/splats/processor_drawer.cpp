@@ -1,5 +1,6 @@
 #include "processor_drawer.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <utility>
 
@@ -88,8 +89,9 @@ FrameReport ProcessorDrawer::describe(const Look& look, const Painting& painting
   report.paint_time = painting.took;
   if (look.settings.profile) report.profile = painting.profile;
   if (!exact) {
-    report.picture_age = now() - painting.asked;
-    report.camera_off = std::fabs(now() - painting.due);
+    // A picture that has been exact at rest is as old as that rest's end.
+    report.picture_age = now() - std::max(painting.asked, renderer_->exactUntil());
+    report.camera_off = std::fabs(now() - std::max(painting.due, renderer_->exactUntil()));
   }
   if (of.order) {
     report.splats = of.order->slots.size();

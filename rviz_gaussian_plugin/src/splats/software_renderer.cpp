@@ -152,6 +152,7 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
     request->rests = true;
     ask(name, request, maps);
   }
+  if (exact_) view.exact_until = now();
   if (!painting || !painting->error.empty()) return nullptr;
   if (!painting->request->window && canvas != Canvas::kNone) return nullptr;
   const ViewedMap* const in_picture = oneIn(*painting->request, maps);

@@ -42,6 +42,8 @@ class SoftwareRenderer {
                    const Surroundings& around = {});
   // Whether draw() showed exactly its camera and the maps, as they were then or when ready() asked.
   bool exact() const { return exact_; }
+  // When the view of the last draw() was exact for the last time. [s]
+  double exactUntil() const { return drawn_ ? drawn_->exact_until : 0; }
   // After a draw() with translucent objects; see SplatRenderer.
   void hideFarther() const;
   void drawBefore() const;
@@ -68,6 +70,7 @@ class SoftwareRenderer {
     std::vector<MapState> asked_of;
     MotionTracker motion;  // of the camera
     PaintingPtr shown;
+    double exact_until = 0;  // see exactUntil()
     OverlayTexture colour, behind, hiding;
   };
 
