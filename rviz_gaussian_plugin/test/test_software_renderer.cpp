@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "owned_batch.hpp"
+#include "rosplat_core/threads/clock.hpp"
 #include "software_renderer.hpp"
 #include "windowless_display.hpp"
 
@@ -218,9 +219,12 @@ TEST_F(SoftwareRendererTest, TheNewestPictureIsShownMeanwhileNearToWhereItIs) {
   source_.hold();
   renderer_->painter().wake();
   source_.waitUntilReached();
+  const double at_rest = now();
+  draw(camera(0));
   window.clear();
   EXPECT_NE(draw(camera(0.3)), nullptr);
   EXPECT_FALSE(renderer_->exact());
+  EXPECT_GE(renderer_->exactUntil(), at_rest);  // however old the picture is
   const auto carried = window.pixels();
   const auto error = [&](const std::vector<std::uint8_t>& shown) {
     double sum = 0;
