@@ -53,7 +53,7 @@ def steps(size: int) -> Iterator[Edit | Move]:
         for _ in range(PRUNINGS):
             part = groups[rng.integers(submaps)]
             pruned = np.sort(rng.permutation(len(part.slots))[:BATCH])
-            slots = np.asarray(part.slots)[pruned]
+            slots = part.slots[pruned]
             yield Edit(slots, None, part.group)
             yield Edit(slots, part.splats[pruned], part.group)
 

@@ -41,7 +41,7 @@ while (
 slots, splats = built.snapshot()
 np.savez(
     out,
-    slots=np.asarray(slots),
+    slots=slots,
     positions=splats.positions + splats.origin,
     orientations=splats.orientations,
     scales=splats.scales,

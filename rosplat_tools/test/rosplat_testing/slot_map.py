@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 
 from rosplat_core.channels import joined
 from rosplat_core.payload import Arrays
+from rosplat_core.slot_pages import MAX_SLOTS, SLOTS_PER_PAGE
 from rosplat_core.splats import Splats, concatenate, sh_coefficients
 from rosplat_msgs.msg import GaussianArray
 from rosplat_testing.messages import decode, is_usable, poses_of
-from rosplat_testing.slot_pages import SLOTS_PER_PAGE, SlotPages
+
+Slots = range | NDArray[np.integer]
+_PAGE = np.arange(SLOTS_PER_PAGE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,12 +23,12 @@ class Group:
     """The splats of one group of a map, in its frame, and their slots."""
 
     group: int
-    slots: range | NDArray[np.uint32]
+    slots: NDArray[np.uint32]
     splats: Splats
 
 
 class SlotMap:
-    """Numbered slots that edits fill and empty, kept by pages of neighbours, in groups with poses.
+    """Numbered slots that edits fill and empty, in groups with poses.
 
     A group's origin is that of its first splats, the map's filter that of its. What no receiver
     would take is left out: a splat with a value that is not finite, a negative scale, or no
@@ -34,63 +37,50 @@ class SlotMap:
 
     def __init__(self, splats: Splats | None = None) -> None:
         """A map with a copy of splats in slots 0 to n - 1."""
-        self.reset(splats)
+        self.reset()
+        if splats is not None:
+            self.write(range(len(splats)), splats)
 
-    def reset(self, splats: Splats | None = None) -> None:
-        """Forgets all, then writes splats to slots 0 to n - 1."""
-        self._pages = SlotPages()
-        self._arrays = _no_splats()
+    def reset(self) -> None:
+        """Forgets all."""
+        # Each slot that was ever written has a row; what is untouched of zeros takes no memory.
+        self._places = np.zeros(MAX_SLOTS, np.uint32)  # one past a slot's row, or 0
+        self._count = 0
+        self._slots = np.zeros(0, np.uint32)  # of rows
+        self._groups = np.zeros(0, np.uint32)
         self._used = np.zeros(0, bool)
+        self._arrays = _no_splats()
         self._origins: dict[int, NDArray[np.float64]] = {}
         self.poses: dict[int, NDArray[np.float64]] = {}
-        if splats is not None:
-            self._reserve(0, splats.sh_degree)
-            self.write(range(len(splats)), splats)
 
     def __len__(self) -> int:
         """Number of slots in use."""
         return int(np.count_nonzero(self._used))
 
-    @property
-    def sh_degree(self) -> int:
-        """Highest band of spherical harmonics that was ever written."""
-        return self._arrays.sh_degree
-
-    @property
-    def splat_bytes(self) -> int:
-        """Memory that a splat takes. [bytes]"""
-        return self._arrays.nbytes // max(1, len(self._used))
-
-    def used(self, slots: NDArray[np.integer]) -> NDArray[np.bool_]:
-        """Which of some slots, of pages that were written once, are in use."""
-        used: NDArray[np.bool_] = self._used[self._pages.find(slots)]
-        return used
-
-    def write(self, slots: range | NDArray[np.integer], splats: Splats, group: int = 0) -> int:
+    def write(self, slots: Slots, splats: Splats, group: int = 0) -> int:
         """Puts the i-th splat into the i-th slot, in use or not; returns how many are left out.
 
-        Raises ValueError where the splats are antialiased and the map is not, or the reverse,
-        MixedGroupsError where a page holds splats of another group, and ChannelError for more
-        channels than a map has.
+        Raises ValueError where the splats are antialiased and the map is not, or the reverse, where
+        a page holds splats of another group, and for more channels than a map has.
         """
         if not len(slots):
             return 0
-        begins = not len(self._pages)
-        if not begins and splats.antialiased != self._arrays.antialiased:
+        if self._count and splats.antialiased != self._arrays.antialiased:
             raise ValueError("can't mix antialiased splats with others: they are drawn differently")
-        into = as_index(slots)
-        pages = self._pages.touched(into)
-        self._pages.check(pages, group, lambda rows: self._used[rows].any())
+        slots = np.asarray(slots, np.int64)
+        self._check_pages(slots, group)
         channels = joined(tuple(self._arrays.channels), tuple(splats.channels))
-        self._reserve(len(self._pages.lacking(pages)), splats.sh_degree)
-        self._add(channels)
-        self._pages.add(pages, group)
-        if begins:
-            self._arrays = replace(self._arrays, antialiased=splats.antialiased)
-        mine = self._arrays
-        rows = self._pages.find(into)
-        origin = self._origins.setdefault(group, splats.origin)
-        positions, shift = splats.positions, splats.origin - origin
+        self._reserve(slots, splats.sh_degree)
+        self._arrays = mine = replace(
+            self._arrays,
+            channels={name: self._arrays.channel(name) for name in channels},
+            antialiased=splats.antialiased,
+        )
+        rows = self._rows(slots)
+        positions, shift = (
+            splats.positions,
+            splats.origin - self._origins.setdefault(group, splats.origin),
+        )
         if shift.any():
             with np.errstate(over="ignore", invalid="ignore"):
                 positions = (positions + shift).astype(np.float32)
@@ -107,69 +97,76 @@ class SlotMap:
             Arrays(positions, splats.orientations, splats.scales, splats.opacities, splats.sh)
         )
         self._used[rows] = usable
+        self._groups[rows] = group
         return len(usable) - int(np.count_nonzero(usable))
 
-    def clear(self, slots: range | NDArray[np.integer]) -> None:
+    def clear(self, slots: Slots) -> None:
         """Empties slots; those beyond the map are empty already."""
-        self._used[self._pages.find(as_index(slots))] = False
+        self._used[self._rows(slots)] = False
 
-    def groups(self, among: NDArray[np.integer] | None = None) -> list[Group]:
+    def groups(self) -> list[Group]:
         """A copy of the slots in use, ascending in each group, and of what is in them.
 
-        Of those `among` some, if given. In the groups' own frames. There is always a first group,
-        empty where there are no splats.
+        In the groups' own frames. There is always a first group, empty where there are no splats.
         """
-        rows = np.arange(len(self._used))
-        if among is not None:
-            rows = rows[self._pages.find(among)]
-        rows = rows[self._used[rows]]
-        slots = self._pages.slots(rows)
-        of = self._pages.groups_of(rows)
-        if not self._pages.ascending or len(self._pages.groups) > 1:
-            places = np.lexsort((slots, of))
-            rows, slots, of = rows[places], slots[places], of[places]
+        rows = np.flatnonzero(self._used)
+        rows = rows[np.argsort(self._slots[rows])]
         groups = []
-        for which in np.unique(of).tolist():
-            group = int(self._pages.groups[which])
-            own = slice(*np.searchsorted(of, (which, which + 1)))
-            splats = replace(self._arrays[rows[own]], origin=self._origins[group])
-            groups.append(Group(group, _in_short(slots[own]), splats))
-        return groups or [Group(0, range(0), self._arrays[rows])]
+        for group in np.unique(self._groups[rows]).tolist():
+            own = rows[self._groups[rows] == group]
+            splats = replace(self._arrays[own], origin=self._origins[group])
+            groups.append(Group(group, self._slots[own], splats))
+        return groups or [Group(0, self._slots[rows], self._arrays[rows])]
 
-    def snapshot(self) -> tuple[range | NDArray[np.uint32], Splats]:
+    def snapshot(self) -> tuple[NDArray[np.uint32], Splats]:
         """A copy of the slots in use, ascending, and of what is in them, in the map's frame."""
-        parts = [
-            replace(part, splats=part.splats.moved(self.poses[part.group]))
-            if part.group in self.poses
-            else part
-            for part in self.groups()
-        ]
-        if len(parts) == 1:
-            return parts[0].slots, parts[0].splats
-        slots = np.concatenate([np.asarray(part.slots, np.uint32) for part in parts])
-        places = np.argsort(slots)
-        splats = concatenate([part.splats for part in parts])
-        return _in_short(slots[places]), splats[places]
+        parts = self.groups()
+        slots = np.concatenate([part.slots for part in parts])
+        splats = concatenate(
+            [
+                part.splats.moved(self.poses[part.group])
+                if part.group in self.poses
+                else part.splats
+                for part in parts
+            ]
+        )
+        ascending = np.argsort(slots)
+        return slots[ascending], splats[ascending]
 
-    def _add(self, channels: tuple[str, ...]) -> None:
-        """Has a value for each of these channels and row. Raises MemoryError."""
-        if len(channels) > len(self._arrays.channels):
-            both = {name: self._arrays.channel(name) for name in channels}
-            self._arrays = replace(self._arrays, channels=both)
+    def _rows(self, slots: Slots) -> NDArray[np.int64]:
+        """The rows of slots, in their order but without those that have none."""
+        index = slice(slots.start, slots.stop) if isinstance(slots, range) else slots
+        places = self._places[index]
+        return places[places > 0].astype(np.int64) - 1
 
-    def _reserve(self, pages: int, sh_degree: int) -> None:
-        """Makes room for more pages and bands. Raises MemoryError; the map is as it was."""
+    def _check_pages(self, slots: NDArray[np.int64], group: int) -> None:
+        """Raises ValueError where splats of a group may not be written to some slots."""
+        for page in np.unique(slots // SLOTS_PER_PAGE).tolist():
+            first = page * SLOTS_PER_PAGE
+            rows = self._rows(range(first, first + SLOTS_PER_PAGE))
+            others = self._groups[rows[self._used[rows]]]
+            if (others != group).any():
+                raise ValueError(
+                    f"slots {first} to {first + SLOTS_PER_PAGE - 1} hold splats of group "
+                    f"{others[0]}, this batch is of group {group}: delete them first"
+                )
+
+    def _reserve(self, slots: NDArray[np.int64], sh_degree: int) -> None:
+        """Gives rows to slots that have none, and makes room for more bands."""
         arrays = self._arrays
         if sh_degree > arrays.sh_degree:
             sh = np.zeros((len(arrays), sh_coefficients(sh_degree), 3), np.float32)
             sh[:, : arrays.sh.shape[1]] = arrays.sh
             self._arrays = arrays = replace(arrays, sh=sh)
-        rows = self._pages.rows + pages * SLOTS_PER_PAGE
-        if rows > len(self._used):
-            rows = max(rows, len(self._used) * 9 // 8)
+        fresh = np.unique(slots[self._places[slots] == 0])
+        first, self._count = self._count, self._count + len(fresh)
+        if self._count > len(self._used):
+            rows = max(self._count, len(self._used) * 9 // 8)
             # Where they are: large ones are remapped, so that there are never two of them.
-            for array in (*arrays.arrays, self._used):
+            for array in (*arrays.arrays, self._slots, self._groups, self._used):
                 array.resize((rows, *array.shape[1:]), refcheck=False)
+        self._slots[first : self._count] = fresh
+        self._places[fresh] = np.arange(first, self._count) + 1
 
 
 def _no_splats() -> Splats:
@@ -180,19 +177,6 @@ def _no_splats() -> Splats:
         opacities=np.zeros(0, np.float32),
         sh=np.zeros((0, 1, 3), np.float32),
     )
-
-
-def _in_short(slots: NDArray[np.uint32]) -> range | NDArray[np.uint32]:
-    """Ascending slots without a gap as a range."""
-    if not len(slots):
-        return range(0)
-    first, end = int(slots[0]), int(slots[-1]) + 1
-    return range(first, end) if end - first == len(slots) else slots
-
-
-def as_index(slots: range | NDArray[np.integer]) -> slice | NDArray[np.integer]:
-    """Slots as arrays are indexed by them."""
-    return slice(slots.start, slots.stop) if isinstance(slots, range) else slots
 
 
 def apply(message: GaussianArray, slot_map: SlotMap) -> int:
