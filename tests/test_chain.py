@@ -55,26 +55,20 @@ def test_pictures_match_another_renderers(
 
 def test_a_map_that_grew_looks_like_one_that_was_loaded(tmp_path: Path) -> None:
     """1,000 splats a message, some moved, deleted and added again: in the end the same picture."""
-    import rclpy
-
     scene = "procedural:20000"
     camera = Camera(
         id=0, width=320, height=240, fx=280.0, fy=280.0, cx=160.0, cy=120.0,
         world_to_camera=look_at((4, 3, 2.5), (0, 0, 0.4)),
     )  # fmt: skip
     pictures = []
-    rclpy.init()
-    try:
-        for publisher in (
-            ("ply_publisher", "-p", f"path:={scene}"),
-            ("slam_emulator", "-p", f"path:={scene}", "-p", "rate:=100.0"),
-        ):
-            render.render(
-                publisher, [camera], log_folder=tmp_path,
-                on_picture=lambda _, color, answer: pictures.append((color, answer)),
-            )  # fmt: skip
-    finally:
-        rclpy.shutdown()
+    for publisher in (
+        ("ply_publisher", "-p", f"path:={scene}"),
+        ("slam_emulator", "-p", f"path:={scene}", "-p", "rate:=100.0"),
+    ):
+        render.render(
+            publisher, [camera], log_folder=tmp_path,
+            on_picture=lambda _, color, answer: pictures.append((color, answer)),
+        )  # fmt: skip
     (loaded, _), (grown, answer) = pictures
     assert answer.revision > 20
     assert metrics.psnr(grown[..., :3], loaded[..., :3]) >= 60

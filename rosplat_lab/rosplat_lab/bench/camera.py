@@ -10,7 +10,6 @@ import itertools
 import math
 import re
 import time
-import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -26,8 +25,9 @@ from rosplat_lab import metrics
 from rosplat_lab.bench import scenes
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
-from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
-from rosplat_tools.program.processes import Processes, quoted
+from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped, milliseconds
+from rosplat_lab.programs import PATIENCE, Programs
+from rosplat_tools.program.processes import quoted
 
 SIZES, QUICK_SIZES = (500_000,), (20_000,)
 PICTURES, QUICK_PICTURES = ((640, 360), (1280, 720)), ((160, 90),)
@@ -37,7 +37,6 @@ BARREL, STRAIGHT = (-0.28, 0.07, 3e-4, -5e-4, 0.01), (1e-12,)
 OFF = 1 / 3  # between pixels of the picture to be warped and of the lens [px]
 SECONDS, QUICK_SECONDS = 5.0, 1.0  # in which pictures are counted
 EVERY = 0.005  # between poses meanwhile [s]
-PATIENCE = 120.0  # longest wait for a picture [s]
 
 
 def measure(plan: Plan) -> Iterator[Event]:
@@ -88,76 +87,37 @@ def _filmed(
     size = f"{picture[0]}x{picture[1]}"
     of = partial(Measurement.of, scene=name, splats=len(splats), picture=size, by=by)
     del splats
+    if by == TF and _tf_message() is None:
+        yield Skipped(f"{TF}: tf2_msgs or tf2_ros is not installed")
+        return
     with Set(plan, name, by) as film:
-        yield from film.missing
-        if film.missing:
-            return
         shoot = WAYS[by](film, cameras)
         numbers = itertools.count()  # no picture twice: a viewer keeps its last one
-        taken = film.budget.spend(lambda _: milliseconds(lambda: shoot(next(numbers))))
+        taken = plan.budget.spend(lambda _: milliseconds(lambda: shoot(next(numbers))))
         yield of("pose to picture", "ms", taken, gpu=film.drawn_by)
         if film.flood:
             yield of("pictures", "1/s", film.flood(seconds), gpu=film.drawn_by)
 
 
-class Set:
+class Set(Programs):
     """A map's publisher, a program that takes pictures of the map, a node that asks for them."""
 
     def __init__(self, plan: Plan, scene: str, by: str) -> None:
-        self.budget: Budget = plan.budget
-        self.missing: list[Skipped] = []
+        super().__init__(plan.out / "log")
         self.flood: Callable[[float], float] | None = None
         self.drawn_by = ""
-        self.namespace = f"/bench_{uuid.uuid4().hex[:8]}"  # nobody else's
         self.frame = self.namespace.strip("/")  # of the map; its own, as all share TF
-        self.remap = ["--ros-args", "-r", f"__ns:={self.namespace}"]
-        self.processes = Processes(plan.out / "log")
-        self._scene, self._by = scene, by
+        self.complaint = f"{by}: no picture in {PATIENCE:.0f} s"
+        self._scene = scene
 
     def __enter__(self) -> Set:
-        import rclpy
-        from rclpy.executors import SingleThreadedExecutor
-
-        self.processes.__enter__()
+        super().__enter__()
         settings = ["-p", f"path:={quoted(self._scene)}", "-p", f"frame_id:={self.frame}"]
-        self.processes.node("rosplat_tools", "ply_publisher", *self.remap, *settings)
-        rclpy.init()
-        self.node = rclpy.create_node("bench", namespace=self.namespace)
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self.node)
-        if self._by == TF and _tf_message() is None:
-            self.missing.append(Skipped(f"{TF}: tf2_msgs or tf2_ros is not installed"))
+        self.node("rosplat_tools", "ply_publisher", *settings)
         return self
 
-    def __exit__(self, *error: object) -> None:
-        import rclpy
 
-        self.processes.end()
-        self._executor.shutdown()
-        self.node.destroy_node()
-        rclpy.try_shutdown()
-
-    def wait(self, until: Callable[[], object], again: Callable[[], object] | None = None) -> None:
-        """Runs callbacks until until() holds. again: called each second. Raises RuntimeError."""
-        end = time.monotonic() + PATIENCE
-        next_time = time.monotonic() + 1
-        while not until():
-            self._executor.spin_once(0.1)
-            if again and time.monotonic() > next_time:
-                again()
-                next_time = time.monotonic() + 1
-            if time.monotonic() > end:
-                raise RuntimeError(f"{self._by}: no picture in {PATIENCE:.0f} s")
-            self.processes.check()
-
-    def spin_for(self, seconds: float) -> None:
-        """Runs callbacks for so long."""
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0:
-            self._executor.spin_once(left)
-
-
-Shoot = Callable[[int], None]
+Shoot = Callable[[int], object]
 """Has the picture of a numbered camera taken, and waits for it."""
 
 
@@ -175,8 +135,8 @@ def _by_camera(
     if coefficients:
         lens = replace(lens, model=PLUMB_BOB, coefficients=coefficients)
     optical = f"{film.frame}_optical"
-    film.processes.node(
-        "rosplat_tools", "camera", *film.remap, "-p", f"poses:={'tf' if by_tf else 'topic'}",
+    film.node(
+        "rosplat_tools", "camera", "-p", f"poses:={'tf' if by_tf else 'topic'}",
         "-p", "rate:=1000.0", "-p", "camera.calibration:=topic", "-p",
         f"camera.frame_id:={optical}", "-p", f"near:={cameras[0].near:.9f}",
     )  # fmt: skip
@@ -185,18 +145,18 @@ def _by_camera(
     def hear(image: Image) -> None:
         stamps.append(Time.from_msg(image.header.stamp).nanoseconds)
 
-    film.node.create_subscription(Image, "camera/image_raw", hear, 5)
-    infos = film.node.create_publisher(CameraInfo, "camera/calibration", 5)
-    film.wait(infos.get_subscription_count)
+    film.asker.create_subscription(Image, "camera/image_raw", hear, 5)
+    infos = film.asker.create_publisher(CameraInfo, "camera/calibration", 5)
+    film.wait(infos.get_subscription_count, film.complaint)
     infos.publish(of_lens(lens))
     tf_message = _tf_message()
-    poses = film.node.create_publisher(PoseStamped, "camera/pose", 5)
-    transforms = film.node.create_publisher(tf_message, "/tf", 5) if by_tf and tf_message else None
+    poses = film.asker.create_publisher(PoseStamped, "camera/pose", 5)
+    transforms = film.asker.create_publisher(tf_message, "/tf", 5) if by_tf and tf_message else None
     film.drawn_by = "processor"
 
     def pose(number: int) -> int:
         """Publishes where the camera is now; returns the time. [ns]"""
-        now = film.node.get_clock().now()
+        now = film.asker.get_clock().now()
         place = to_pose(np.linalg.inv(cameras[number % len(cameras)].world_to_camera))
         if transforms:
             moved = TransformStamped(child_frame_id=optical)
@@ -213,7 +173,7 @@ def _by_camera(
 
     def shoot(number: int) -> None:
         asked = pose(number)
-        film.wait(lambda: stamps and stamps[-1] >= asked)
+        film.wait(lambda: stamps and stamps[-1] >= asked, film.complaint)
 
     def flood(seconds: float) -> float:
         """Pictures a second of a camera that moves all the time."""
@@ -222,7 +182,9 @@ def _by_camera(
             if time.monotonic() - began > seconds:
                 break
             pose(number)
-            film.spin_for(EVERY)
+            end = time.monotonic() + EVERY
+            while (left := end - time.monotonic()) > 0:
+                film.spin_once(left)
         return (len(stamps) - before) / (time.monotonic() - began)
 
     film.flood = flood
@@ -231,7 +193,7 @@ def _by_camera(
         infos.publish(of_lens(lens))  # a camera that begins may miss the first one
         pose(0)
 
-    film.wait(lambda: stamps, again=begin)
+    film.wait(lambda: stamps, film.complaint, again=begin)
     return shoot
 
 
@@ -239,21 +201,19 @@ def _by_render_view(film: Set, cameras: list[Camera]) -> Shoot:
     from rosplat_msgs.srv import RenderView
     from rosplat_tools.view_messages import view_camera
 
-    film.processes.node("rosplat_sorter", "sorter", *film.remap)
-    film.processes.node("rviz_gaussian_plugin", "viewer", *film.remap, "-p", "serve:=true")
-    client: Any = film.node.create_client(RenderView, "gaussians/render")
-    answers: list[Any] = []
+    film.node("rosplat_sorter", "sorter")
+    film.node("rviz_gaussian_plugin", "viewer", "-p", "serve:=true")
+    client: Any = film.asker.create_client(RenderView, "gaussians/render")
 
-    def shoot(number: int) -> None:
+    def shoot(number: int) -> bool:
         camera = view_camera(cameras[number % len(cameras)])
-        future = client.call_async(RenderView.Request(camera=camera, order_timeout=1.0))
-        film.wait(future.done)
-        answers[:] = [future.result()]
+        request = RenderView.Request(camera=camera, order_timeout=1.0)
+        answer = film.call(client, request, film.complaint)
+        return bool(answer.success and answer.map_complete)
 
-    film.wait(client.service_is_ready)
-    while not (answers and answers[0].success and answers[0].map_complete):
-        shoot(-1)
-    found = re.search(r"drawing with (.*)", film.processes.said("viewer"))
+    while not shoot(-1):
+        pass
+    found = re.search(r"drawing with (.*)", film.said("viewer"))
     film.drawn_by = found[1] if found else ""
     return shoot
 

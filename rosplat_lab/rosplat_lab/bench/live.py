@@ -7,7 +7,6 @@ import json
 import subprocess
 import sys
 import time
-import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,8 +16,9 @@ from rosplat_core.splats import SceneError
 from rosplat_lab import machine
 from rosplat_lab.bench import records
 from rosplat_lab.bench.line import Line
+from rosplat_lab.programs import Programs
 from rosplat_sorter.backends import BACKENDS, Unavailable, open_backend
-from rosplat_tools.program.processes import Processes, node_command, quoted
+from rosplat_tools.program.processes import node_command, quoted
 
 GPU = "gpu"  # the viewer's GPU sorts, no sorter runs
 PROCESSOR = "processor"  # the viewer's rasteriser sorts, without a graphics card and a sorter
@@ -53,23 +53,21 @@ def watch(
     rate: float,
     picture: tuple[int, int],
     until: Callable[[Watched], bool],
-    begin: Callable[[str], None] | None = None,
+    begin: Callable[[Programs], None] | None = None,
     line: Line | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> Watched:
     """Runs the three until `until`, called now and then, returns that it has seen enough.
 
     publisher: an executable of rosplat_tools and its arguments. backend: of the sorter, or
-    BUILT_IN, GPU or PROCESSOR. rate: at which the camera turns [Hz]. begin: called with the
-    namespace when all three run. line: the viewer runs at its far end, the others at the near one.
-    Raises ProcessError if one of them ends by itself.
+    BUILT_IN, GPU or PROCESSOR. rate: at which the camera turns [Hz]. begin: called when all three
+    run. line: the viewer runs at its far end, the others at the near one. Raises ProcessError if
+    one of them ends by itself.
     """
-    namespace = f"/bench_{uuid.uuid4().hex[:8]}"  # nobody else's
-    remap = ["--ros-args", "-r", f"__ns:={namespace}"]
     log = out / "log"
     trace = log / "trace.json"
     seen = Watched()
-    with Processes(log) as processes:
+    with Programs(log) as processes:
 
         def start(name: str, command: list[str], end: str = "here") -> subprocess.Popen[bytes]:
             there = line.at(end, command) if line else command
@@ -78,7 +76,9 @@ def watch(
         trace.unlink(missing_ok=True)
         programs = {}
         if backend in BACKENDS:
-            sorter = node_command("rosplat_sorter", "sorter", *remap, "-p", f"backend:={backend}")
+            sorter = node_command(
+                "rosplat_sorter", "sorter", *processes.remap, "-p", f"backend:={backend}"
+            )
             programs["sorter"] = start("sorter", sorter)
             while "waits for a view" not in processes.said("sorter"):
                 processes.check()
@@ -87,7 +87,7 @@ def watch(
         programs["viewer"] = start(
             "viewer",
             [
-                sys.executable, "-m", "rosplat_lab.bench.moving_viewer", *remap,
+                sys.executable, "-m", "rosplat_lab.bench.moving_viewer", *processes.remap,
                 "-p", f"trace:={quoted(trace)}", "-p", f"rate:={rate}",
                 "-p", f"width:={picture[0]}", "-p", f"height:={picture[1]}",
                 "-p", f"order_source:={order_source(backend).lower()}",
@@ -97,10 +97,10 @@ def watch(
         while not trace.exists():  # the viewer is ready, and misses nothing
             processes.check()
             time.sleep(0.05)
-        command = node_command("rosplat_tools", publisher[0], *remap, *publisher[1:])
+        command = node_command("rosplat_tools", publisher[0], *processes.remap, *publisher[1:])
         programs["publisher"] = start("publisher", command)
         if begin:
-            begin(namespace)
+            begin(processes)
         with trace.open(encoding="utf-8") as lines:
             rest = ""
             while not until(seen):

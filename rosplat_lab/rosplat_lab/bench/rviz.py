@@ -7,7 +7,6 @@ import math
 import re
 import shutil
 import time
-import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +25,7 @@ from rosplat_lab.bench import mouse, scenes
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped
 from rosplat_lab.driven_rviz import DrivenRviz, Refused
+from rosplat_lab.programs import Programs
 from rosplat_lab.reference.renderer import render
 from rosplat_tools.program.processes import ProcessError, Processes, quoted
 
@@ -148,19 +148,15 @@ def _scene(
     by_mouse = {"overview": orbits["overview"]}
     if not plan.quick:
         by_mouse["inside"] = _inside(name, splats, here)
-    namespace = f"/bench_{uuid.uuid4().hex[:8]}"  # nobody else's
-    values = {
-        "ply": str((plan.out / "log" / "rviz.ply").resolve()), "topic": f"{namespace}/gaussians",
-        "sh_degree": str(splats.sh_degree),
-    }  # fmt: skip
-    with Processes(plan.out / "log") as processes:
-        processes.node(
-            "rosplat_tools", "ply_publisher",
-            "--ros-args", "-r", f"__ns:={namespace}", "-p", f"path:={quoted(name)}",
-        )  # fmt: skip
+    with Programs(plan.out / "log") as programs:
+        values = {
+            "ply": str((programs.folder / "rviz.ply").resolve()),
+            "topic": f"{programs.namespace}/gaussians", "sh_degree": str(splats.sh_degree),
+        }  # fmt: skip
+        programs.node("rosplat_tools", "ply_publisher", "-p", f"path:={quoted(name)}")
         if "{ply}" in str(displays):
             formats.save(values["ply"], splats)
-        bench = Bench(plan, name, splats, orbits, by_mouse, processes)
+        bench = Bench(plan, name, splats, orbits, by_mouse, programs)
         if len(splats) <= ACCURATE:
             yield Doing(f"{name}: reference pictures", number / total)
             bench.draw_references()

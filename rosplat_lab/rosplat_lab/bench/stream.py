@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,8 +22,9 @@ from rosplat_lab.bench import streamed_gardens
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement
+from rosplat_lab.programs import Programs
 from rosplat_sorter.camera import decode
-from rosplat_tools.program.processes import ProcessError, Processes, quoted
+from rosplat_tools.program.processes import quoted
 from rosplat_tools.streaming.detail import NOTHING, Levels, choose, in_sight, magnification
 from rosplat_tools.view_messages import view_camera
 
@@ -166,42 +166,26 @@ class Course:
         )  # fmt: skip
 
 
-class Watched:
+class Watched(Programs):
     """A publisher of a streamed scene, and a viewer that is asked for pictures."""
 
     def __init__(self, path: Path, budget: int, log: Path) -> None:
+        super().__init__(log)
         self._arguments = ["-p", f"path:={quoted(path)}", "-p", f"max_splats:={budget}"]
-        self._processes = Processes(log)
 
     def __enter__(self) -> Watched:
-        import rclpy
-        from rclpy.node import Node
-
         from rosplat_msgs.srv import RenderView
 
-        namespace = f"/bench_{uuid.uuid4().hex[:8]}"  # nobody else's
-        remap = ["--ros-args", "-r", f"__ns:={namespace}"]
-        self._processes.__enter__()
+        super().__enter__()
         self._programs = {
-            "viewer": self._processes.node(
-                "rviz_gaussian_plugin", "viewer", *remap, "-p", "serve:=true"
-            ),
-            "publisher": self._processes.node(
-                "rosplat_tools", "stream_publisher", *remap, *self._arguments, name="publisher"
+            "viewer": self.node("rviz_gaussian_plugin", "viewer", "-p", "serve:=true"),
+            "publisher": self.node(
+                "rosplat_tools", "stream_publisher", *self._arguments, name="publisher"
             ),
         }
-        rclpy.init()
-        self._node = Node("bench", namespace=namespace)
-        self._client: Any = self._node.create_client(RenderView, "gaussians/render")
+        self._client: Any = self.asker.create_client(RenderView, "gaussians/render")
         self._revision = -1
         return self
-
-    def __exit__(self, *error: object) -> None:
-        import rclpy
-
-        self._processes.end()
-        self._node.destroy_node()
-        rclpy.try_shutdown()
 
     def look(self, camera: Camera) -> float:
         """Has a camera's picture drawn; returns how long that took [s]."""
@@ -236,25 +220,19 @@ class Watched:
         return {name: machine.processor_seconds(run.pid) for name, run in self._programs.items()}
 
     def _at_rest(self) -> bool:
-        return "at rest:" in self._processes.last_line("publisher")
+        return "at rest:" in self.last_line("publisher")
 
     def _ask(self, camera: Camera) -> RenderView.Response:
-        import rclpy
-
         from rosplat_msgs.srv import RenderView
 
+        complaint = f"no picture from {self._client.srv_name}"
         deadline = time.monotonic() + PATIENCE
         while time.monotonic() < deadline:
-            self._processes.check()
-            if not self._client.wait_for_service(0.1):
-                continue
-            answer = self._client.call_async(RenderView.Request(camera=view_camera(camera)))
-            while not answer.done() and time.monotonic() < deadline:
-                rclpy.spin_once(self._node, timeout_sec=0.1)
-                self._processes.check()
-            if answer.done() and answer.result().success:
-                return answer.result()
-        raise ProcessError(f"no picture from {self._client.srv_name}")
+            request = RenderView.Request(camera=view_camera(camera))
+            answer = self.call(self._client, request, complaint)
+            if answer.success:
+                return answer
+        raise TimeoutError(complaint)
 
 
 def _truth(scene: Streamed, camera: Camera) -> Array:

@@ -5,27 +5,22 @@ from __future__ import annotations
 import itertools
 import sys
 import time
-import uuid
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import rclpy
-from rclpy.client import Client
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Header
 
 from rosplat_lab.bench import live, scenes
 from rosplat_lab.bench.peer import KINDS, ORDERS, QUESTIONS, topic
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped
+from rosplat_lab.programs import Programs
 from rosplat_msgs.msg import ViewCamera
 from rosplat_msgs.srv import LoadScene
 from rosplat_sorter.qos import ORDER
-from rosplat_tools.program.processes import ProcessError, Processes
+from rosplat_tools.program.processes import ProcessError
 
 ORDER_SIZES = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
 QUICK_ORDER_SIZES = (100_000, 500_000)
@@ -48,26 +43,22 @@ def measure(plan: Plan) -> Iterator[Event]:
     """Orders in a message, batches of splats in several forms, and whole maps."""
     orders = plan.sizes or (QUICK_ORDER_SIZES if plan.quick else ORDER_SIZES)
     batches = QUICK_BATCHES if plan.quick else BATCHES
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        with Processes(plan.out / "log") as processes:
-            asker = Asker(processes)
-            jobs = list(itertools.product(orders, ORDERS))
-            for number, (count, way) in enumerate(jobs):
-                yield Doing(f"an order of {count:,} slots, {way}", 0.3 * number / len(jobs))
-                times = asker.ask(way, count, plan.budget)
-                yield Measurement.of("order", "ms", times, splats=count, way=way)
-            ways = [way for way in WAYS if way in KINDS]
-            if "markers" not in ways:
-                yield Skipped("MarkerArray: visualization_msgs is not here")
-            jobs = list(itertools.product(batches, ways))
-            for number, (count, way) in enumerate(jobs):
-                yield Doing(f"{count:,} splats as {way}", 0.3 + 0.3 * number / len(jobs))
-                times = asker.ask(way, count, plan.budget)
-                yield Measurement.of("batch", "ms", times, splats=count, way=WAYS[way])
-        yield from _maps(plan)
-    finally:
-        rclpy.try_shutdown()
+    with Programs(plan.out / "log") as programs:
+        asker = Asker(programs)
+        jobs = list(itertools.product(orders, ORDERS))
+        for number, (count, way) in enumerate(jobs):
+            yield Doing(f"an order of {count:,} slots, {way}", 0.3 * number / len(jobs))
+            times = asker.ask(way, count, plan.budget)
+            yield Measurement.of("order", "ms", times, splats=count, way=way)
+        ways = [way for way in WAYS if way in KINDS]
+        if "markers" not in ways:
+            yield Skipped("MarkerArray: visualization_msgs is not here")
+        jobs = list(itertools.product(batches, ways))
+        for number, (count, way) in enumerate(jobs):
+            yield Doing(f"{count:,} splats as {way}", 0.3 + 0.3 * number / len(jobs))
+            times = asker.ask(way, count, plan.budget)
+            yield Measurement.of("batch", "ms", times, splats=count, way=WAYS[way])
+    yield from _maps(plan)
 
 
 def _maps(plan: Plan) -> Iterator[Event]:
@@ -85,24 +76,17 @@ def _maps(plan: Plan) -> Iterator[Event]:
 class Asker:
     """Asks a peer in a process of its own for messages, and times them."""
 
-    def __init__(self, processes: Processes) -> None:
-        namespace = f"/bench_{uuid.uuid4().hex[:8]}"
-        self._processes = processes
-        processes.start(
-            "peer",
-            [sys.executable, "-m", "rosplat_lab.bench.peer",
-             "--ros-args", "-r", f"__ns:={namespace}"],
-        )  # fmt: skip
-        self._node = Node("asker", namespace=namespace)
-        self._questions = self._node.create_publisher(ViewCamera, QUESTIONS, ORDER)
+    def __init__(self, programs: Programs) -> None:
+        self._programs = programs
+        peer = [sys.executable, "-m", "rosplat_lab.bench.peer", *programs.remap]
+        programs.start("peer", peer)
+        self._questions = programs.asker.create_publisher(ViewCamera, QUESTIONS, ORDER)
         self._sequence = 0
         self._times: dict[int, float] = {}
         for kind, (message, _, read) in KINDS.items():
-            self._node.create_subscription(
+            programs.asker.create_subscription(
                 message, topic(kind), partial(self._receive, read), ORDER
             )
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
 
     def ask(self, kind: str, count: int, budget: Budget) -> list[float]:
         """Times from before a message is made until its numbers are at hand here. [ms]
@@ -112,17 +96,16 @@ class Asker:
         return budget.spend(lambda _: self._ask(kind, count))
 
     def _ask(self, kind: str, count: int) -> float:
-        deadline = time.monotonic() + PATIENCE
-        while time.monotonic() < deadline:
+        def question() -> None:
             self._sequence += 1
             self._questions.publish(ViewCamera(view_id=kind, width=count, sequence=self._sequence))
-            again = time.monotonic() + 5.0  # a question may be lost while the two get acquainted
-            while time.monotonic() < again:
-                self._executor.spin_once(0.1)
-                if self._sequence in self._times:
-                    return self._times.pop(self._sequence)
-                self._processes.check()
-        raise TimeoutError(f"no answer to {kind} of {count}")
+
+        question()
+        self._programs.wait(
+            lambda: self._sequence in self._times, f"no answer to {kind} of {count}",
+            patience=PATIENCE, again=question, every=ACQUAINTANCE,
+        )  # fmt: skip
+        return self._times.pop(self._sequence)
 
     def _receive(self, read: Callable[[Any], object], answer: Any) -> None:
         read(answer)
@@ -135,13 +118,11 @@ class Asker:
 
 def _visible(out: Path, name: str, repeats: int) -> Iterator[Measurement]:
     """From the first batch's making to the frame that shows all, in three processes."""
-    node = Node("opener")
 
-    def load(namespace: str) -> None:
+    def load(programs: Programs) -> None:
         """Has the scene loaded, once the three have found each other."""
-        client: Client = node.create_client(LoadScene, f"{namespace}/ply_publisher/load")
-        if not client.wait_for_service(PATIENCE):
-            raise TimeoutError("the publisher did not start")
+        client = programs.asker.create_client(LoadScene, "ply_publisher/load")
+        programs.wait(client.service_is_ready, "the publisher did not start", patience=PATIENCE)
         time.sleep(ACQUAINTANCE)
         client.call_async(LoadScene.Request(path=name))
 
@@ -156,6 +137,5 @@ def _visible(out: Path, name: str, repeats: int) -> Iterator[Measurement]:
         splats, gpu = frame["splats"], frame["renderer"]
         shown.append(1e3 * (frame["time"] - frame["published"]))
         rates.append(splats / 1e6 / (frame["received"] - frame["published"]))
-    node.destroy_node()
     yield Measurement.of("publish to visible", "ms", shown, name, splats, gpu, backend="native")
     yield Measurement.of("received by the viewer", "M splats/s", rates, name, splats)

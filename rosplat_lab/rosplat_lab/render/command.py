@@ -13,18 +13,14 @@ import shlex
 import shutil
 import sys
 import time
-import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-import rclpy
 from numpy.typing import NDArray
 from rclpy.client import Client
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
 from rosplat_core.cameras import Camera, load_cameras
@@ -35,6 +31,7 @@ from rosplat_core.splats import SceneError
 from rosplat_lab.arguments import make_folder
 from rosplat_lab.machine import commit, machine
 from rosplat_lab.metrics import compare
+from rosplat_lab.programs import ASK_AGAIN, Programs
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.backends import BACKENDS
 from rosplat_tools.program.processes import Processes, quoted
@@ -43,9 +40,7 @@ from rosplat_tools.view_messages import view_camera
 START_TIMEOUT = 120.0  # for the map to be loaded, sent and received [s]
 SETTLED = 1.0  # a complete map that hasn't changed for so long has all its edits [s]
 PUBLISHER = "publisher"  # name of its log
-CALL_TIMEOUT = 120.0  # for one picture [s]
 ORDER_TIMEOUT = 10.0  # for the sorter, of a renderer that doesn't sort itself [s]
-ASK_AGAIN = 10.0  # after a picture's order should be there: an answer may get lost [s]
 LONGEST_SIDE, MOST_PIXELS = 16384, 1 << 25  # that the renderer draws
 
 
@@ -71,34 +66,26 @@ def render(
     camera, (height, width, 4) premultiplied RGBA and the rest of the answer. sidecar: the backend
     of a sorter, in whose orders is drawn. float_blending: in 32-bit instead of 16-bit floats.
     detail: how much of the map to draw, as RenderView has it.
-    Raises RenderError, ProcessError.
+    Raises RenderError, ProcessError, TimeoutError.
     """
-    # A namespace without anybody else's publishers, sorters or viewers.
-    namespace = f"/render_{uuid.uuid4().hex[:8]}"
-    remap = ["--ros-args", "-r", f"__ns:={namespace}"]
-    with Processes(log_folder) as processes:
-        processes.node("rosplat_tools", publisher[0], *remap, *publisher[1:], name=PUBLISHER)
+    with Programs(log_folder, "render") as programs:
+        programs.node("rosplat_tools", *publisher, name=PUBLISHER)
         if sidecar:
-            processes.node("rosplat_sorter", "sorter", *remap, "-p", f"backend:={sidecar}")
+            programs.node("rosplat_sorter", "sorter", "-p", f"backend:={sidecar}")
         source = "Sidecar" if sidecar else "Auto"
         if via == "rviz":
-            start_rviz(processes, f"{namespace}/gaussians", source, float_blending)
+            start_rviz(programs, f"{programs.namespace}/gaussians", source, float_blending)
         else:
             settings = ["-p", "serve:=true", "-p", f"order_source:={source.lower()}"]
             settings += ["-p", f"float_blending:={float_blending}"]
-            processes.node("rviz_gaussian_plugin", "viewer", *remap, *settings)
-        node = Node("render")
-        try:
-            client: Client = node.create_client(RenderView, f"{namespace}/gaussians/render")
-            _wait_for_service(node, client, processes)
-            _wait_for_map(node, client, cameras[0], processes)
-            for camera in tqdm(cameras, "drawing", unit="picture", disable=None):
-                answer = _call(node, client, camera, ORDER_TIMEOUT, processes, detail)
-                pixels = np.frombuffer(answer.color.data, np.float32)
-                on_picture(camera, pixels.reshape(camera.height, camera.width, 4), answer)
-        finally:
-            node.destroy_node()
-        for warning in processes.warnings(PUBLISHER):
+            programs.node("rviz_gaussian_plugin", "viewer", *settings)
+        client = programs.asker.create_client(RenderView, "gaussians/render")
+        _wait_for_map(programs, client, cameras[0])
+        for camera in tqdm(cameras, "drawing", unit="picture", disable=None):
+            answer = _call(programs, client, camera, ORDER_TIMEOUT, detail)
+            pixels = np.frombuffer(answer.color.data, np.float32)
+            on_picture(camera, pixels.reshape(camera.height, camera.width, 4), answer)
+        for warning in programs.warnings(PUBLISHER):
             print(f"render: {warning}", file=sys.stderr)
 
 
@@ -139,52 +126,29 @@ Visualization Manager:
 """
 
 
-def _wait_for_service(node: Node, client: Client, processes: Processes) -> None:
-    deadline = time.monotonic() + START_TIMEOUT
-    while not client.wait_for_service(0.1):
-        processes.check()
-        if time.monotonic() > deadline:
-            raise RenderError(f"no renderer answers at {client.srv_name}")
-
-
-def _wait_for_map(node: Node, client: Client, camera: Camera, processes: Processes) -> None:
+def _wait_for_map(programs: Programs, client: Client, camera: Camera) -> None:
     """Waits until the renderer has all of the map, and its last edits."""
     changed = time.monotonic()
     revision, complete = -1, False
     while not complete or time.monotonic() - changed < SETTLED:
         small = Camera(**(vars(camera) | {"width": 16, "height": 16}))
-        answer = _call(node, client, small, 0.0, processes)
+        answer = _call(programs, client, small, 0.0)
         complete = answer.map_complete
         if answer.revision != revision:  # it grows: be patient
             revision, changed = answer.revision, time.monotonic()
         if time.monotonic() - changed > START_TIMEOUT:
-            raise RenderError("the map did not arrive: " + processes.last_line(PUBLISHER))
+            raise RenderError("the map did not arrive: " + programs.last_line(PUBLISHER))
         time.sleep(0.1)
 
 
 def _call(
-    node: Node,
-    client: Client,
-    camera: Camera,
-    order_timeout: float,
-    processes: Processes,
-    detail: str = "full",
+    programs: Programs, client: Client, camera: Camera, order_timeout: float, detail: str = "full"
 ) -> RenderView.Response:
     request = RenderView.Request(
         camera=view_camera(camera), order_timeout=order_timeout, detail=detail
     )
-    futures = [client.call_async(request)]
-    deadline = time.monotonic() + CALL_TIMEOUT
-    ask_again = time.monotonic() + order_timeout + ASK_AGAIN
-    while not any(future.done() for future in futures):
-        rclpy.spin_once(node, timeout_sec=0.1)
-        processes.check()
-        if time.monotonic() > deadline:
-            raise RenderError(f"camera {camera.id}: the renderer has not answered")
-        # A service that began just now may answer before it knows its client.
-        if len(futures) == 1 and time.monotonic() > ask_again:
-            futures.append(client.call_async(request))
-    answer: Any = next(future.result() for future in futures if future.done())
+    complaint = f"camera {camera.id}: the renderer has not answered"
+    answer = programs.call(client, request, complaint, order_timeout + ASK_AGAIN)
     if not answer.success:
         raise RenderError(f"camera {camera.id}: {answer.message}")
     return answer
@@ -302,8 +266,6 @@ def main(arguments: list[str] | None = None) -> int:
         check(options.cameras, cameras)
         check_scene(options.scene)
         make_folder(options.out)
-        # rclpy's own handlers shut ROS down under code that is just using it.
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         render(
             ("ply_publisher", "-p", f"path:={quoted(options.scene)}"), cameras,
             via=options.via, sidecar=options.sidecar,
@@ -313,8 +275,6 @@ def main(arguments: list[str] | None = None) -> int:
     except (RuntimeError, OSError, ValueError, MemoryError) as error:
         print(f"render: {told(error)}", file=sys.stderr)
         return 1
-    finally:
-        rclpy.try_shutdown()
 
     command = shlex.join(["render", *(sys.argv[1:] if arguments is None else arguments)])
     settings = {
