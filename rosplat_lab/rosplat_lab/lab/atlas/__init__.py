@@ -32,9 +32,8 @@ def _explored(quick: bool) -> Iterator[Event]:
     stage = Stage(quick)
     for number, (name, case) in enumerate(CASES.items()):
         yield Doing(case.title, number / len(CASES))
-        difficulties, curves = case.measure(stage)
-        for curve, errors in curves.items():
-            for difficulty, error in zip(difficulties, errors, strict=True):
+        for difficulty in stage.some(case.difficulties):
+            for curve, error in case.measure(stage, difficulty):
                 yield Measurement.of(
                     name, case.unit, error, gpu=stage.graphics, curve=curve,
                     difficulty=float(difficulty),

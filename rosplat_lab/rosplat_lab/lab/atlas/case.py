@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from rosplat_lab.lab.atlas.stage import Stage
 
-Curves = dict[str, list[float]]
-Measure = Callable[[Stage], tuple[Sequence[float], Curves]]
-"""Returns growing difficulties, and for each way of drawing its errors on a stage."""
+Errors = Iterator[tuple[str, float]]
+"""Of each way of drawing, by its name."""
+Measure = Callable[[Stage, float], Errors]
+"""Returns the errors at a difficulty, on a stage."""
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,8 @@ class Case:
     title: str
     axis: str
     """What the difficulty is."""
+    difficulties: Sequence[float]
+    """They grow."""
     measure: Measure
     unit: str
     """What the error is in."""
@@ -27,11 +30,13 @@ class Case:
 class Cases(dict[str, Case]):
     """Cases by name."""
 
-    def enter(self, title: str, axis: str, unit: str = "dB") -> Callable[[Measure], Measure]:
+    def enter(
+        self, title: str, axis: str, difficulties: Sequence[float], unit: str = "dB"
+    ) -> Callable[[Measure], Measure]:
         """Enters the function that it decorates, by its name."""
 
         def enter(measure: Measure) -> Measure:
-            self[measure.__name__] = Case(title, axis, measure, unit)
+            self[measure.__name__] = Case(title, axis, difficulties, measure, unit)
             return measure
 
         return enter

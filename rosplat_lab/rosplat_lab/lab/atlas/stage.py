@@ -68,15 +68,6 @@ class Stage:
             yield by, decibels(self.shown(splats, camera, by, **settings), expected)
 
 
-class Errors(dict[str, list[float]]):
-    """Errors by the names of curves."""
-
-    def add(self, errors: Iterator[tuple[str, float]], suffix: str = "") -> None:
-        """Appends an error to each named curve."""
-        for name, error in errors:
-            self.setdefault(name + suffix, []).append(error)
-
-
 def cloud(count: int, seed: int = 0, size: float = 0.15, degree: int = 1) -> Splats:
     """Splats of all shapes and opacities in a ball of about a metre."""
     random = np.random.default_rng(seed)
