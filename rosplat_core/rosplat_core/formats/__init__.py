@@ -28,7 +28,16 @@ from rosplat_core.formats import (
     usd,
 )
 from rosplat_core.formats.bounds import size_of
-from rosplat_core.formats.decoded import Axes, Into, IntoPacked, IntoSplats, Made, Progress, Warn
+from rosplat_core.formats.decoded import (
+    AS_TRAINED,
+    Axes,
+    Into,
+    IntoPacked,
+    IntoSplats,
+    Made,
+    Progress,
+    Warn,
+)
 from rosplat_core.program.files import replacing
 from rosplat_core.slot_order import space_order
 from rosplat_core.splats import SceneError, Splats
@@ -54,12 +63,12 @@ __all__ = [
 
 _log = logging.getLogger(__name__)
 
-# Each module has NAME, recognises(path, head), axes(path), read(path, progress, warn, into). One
-# that writes has SUFFIXES and write(stream, path, splats): path, which stream will replace, tells
-# the ending and is named in errors. Optional: IN_SPACE_ORDER (it packs neighbours), FINITE (it has
-# no other numbers), KEEPS_CHANNELS, KEEPS_ORIGIN (splats may lie far from 0), TELLS_UP (write takes
-# the vertical, too), require(path) (raises where a package is missing), DRAWN (how the format has
-# its splats drawn, if otherwise).
+# Each module has NAME, recognises(path, head), read(path, progress, warn, into). One that writes
+# has SUFFIXES and write(stream, path, splats): path, which stream will replace, tells the ending
+# and is named in errors. Optional: axes(path) (if not AS_TRAINED), IN_SPACE_ORDER (it packs
+# neighbours), FINITE (it has no other numbers), KEEPS_CHANNELS, KEEPS_ORIGIN (splats may lie far
+# from 0), TELLS_UP (write takes the vertical, too), require(path) (raises where a package is
+# missing), DRAWN (how the format has its splats drawn, if otherwise).
 FORMATS: tuple[ModuleType, ...] = (
     compressed_ply,
     ply,
@@ -102,7 +111,7 @@ def axes(path: str | Path) -> Axes:
     path = Path(path)
     module = format_of(path)
     with _told(path):
-        found: Axes = module.axes(path)
+        found: Axes = module.axes(path) if hasattr(module, "axes") else AS_TRAINED
     return found
 
 

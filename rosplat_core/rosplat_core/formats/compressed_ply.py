@@ -24,17 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.formats.bounds import claim, size_of
-from rosplat_core.formats.decoded import (
-    AS_TRAINED,
-    BLOCK,
-    Axes,
-    Floats,
-    Into,
-    Made,
-    Progress,
-    Warn,
-    blocks,
-)
+from rosplat_core.formats.decoded import BLOCK, Floats, Into, Made, Progress, Warn, blocks
 from rosplat_core.formats.ply import ANTIALIASED, antialiased, rest_names
 from rosplat_core.formats.ply_file import PlyFile, header
 from rosplat_core.formats.quantised import largest_restored, smallest_three, to_bytes
@@ -66,11 +56,6 @@ def recognises(path: Path, head: bytes) -> bool:
     """Whether a file begins like a PLY with packed positions."""
     end = head.find(b"end_header")
     return head[:3] == b"ply" and POSITION.encode() in head[: max(0, end)]
-
-
-def axes(path: Path) -> Axes:
-    """Where a file's axes point."""
-    return AS_TRAINED
 
 
 def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:

@@ -23,15 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.formats.bounds import claim, size_of
-from rosplat_core.formats.decoded import (
-    AS_TRAINED,
-    Axes,
-    Floats,
-    Into,
-    Made,
-    Progress,
-    Warn,
-)
+from rosplat_core.formats.decoded import Floats, Into, Made, Progress, Warn
 from rosplat_core.formats.file_rows import FileRows
 from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, sh_coefficients
@@ -78,11 +70,6 @@ class Section(NamedTuple):
 def recognises(path: Path, head: bytes) -> bool:
     """Whether a path has the ending."""
     return path.suffix.lower() == SUFFIX
-
-
-def axes(path: Path) -> Axes:
-    """Where a file's axes point."""
-    return AS_TRAINED
 
 
 def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:

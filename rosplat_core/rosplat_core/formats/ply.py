@@ -17,17 +17,7 @@ from numpy.typing import NDArray
 from rosplat_core.channels import MOST as MOST_CHANNELS
 from rosplat_core.channels import is_name
 from rosplat_core.formats.bounds import claim, size_of
-from rosplat_core.formats.decoded import (
-    AS_TRAINED,
-    Axes,
-    Floats,
-    Into,
-    Made,
-    Progress,
-    Warn,
-    blocks,
-    share,
-)
+from rosplat_core.formats.decoded import Floats, Into, Made, Progress, Warn, blocks, share
 from rosplat_core.formats.ply_file import PlyFile, Rows, header
 from rosplat_core.formats.quantised import sigmoid
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
@@ -60,11 +50,6 @@ TINY = np.finfo(np.float32).tiny
 def recognises(path: Path, head: bytes) -> bool:
     """Whether a file begins like a PLY."""
     return head[:4] in (b"ply\n", b"ply\r")
-
-
-def axes(path: Path) -> Axes:
-    """Where a file's axes point."""
-    return AS_TRAINED
 
 
 def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:

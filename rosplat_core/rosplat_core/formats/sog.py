@@ -33,17 +33,7 @@ from PIL import Image, UnidentifiedImageError
 
 from rosplat_core.formats.bounds import claim, size_of, unpackable
 from rosplat_core.formats.codebook import codebook, nearest, palette
-from rosplat_core.formats.decoded import (
-    AS_TRAINED,
-    Axes,
-    Columns,
-    Floats,
-    Into,
-    Made,
-    Progress,
-    Warn,
-    blocks,
-)
+from rosplat_core.formats.decoded import Columns, Floats, Into, Made, Progress, Warn, blocks
 from rosplat_core.formats.quantised import largest_restored, sigmoid, smallest_three, to_bytes
 from rosplat_core.log_text import shown
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
@@ -65,11 +55,6 @@ SQRT2 = np.float32(np.sqrt(2))
 def recognises(path: Path, head: bytes) -> bool:
     """Whether a path is a folder with a meta.json, that file itself, or a zip."""
     return (path / META).is_file() or path.name == META or head[:4] == b"PK\x03\x04"
-
-
-def axes(path: Path) -> Axes:
-    """Where a scene's axes point."""
-    return AS_TRAINED
 
 
 def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:

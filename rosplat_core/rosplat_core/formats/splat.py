@@ -17,15 +17,7 @@ from typing import BinaryIO
 import numpy as np
 
 from rosplat_core.formats.bounds import claim, size_of
-from rosplat_core.formats.decoded import (
-    AS_TRAINED,
-    Axes,
-    Into,
-    Made,
-    Progress,
-    Warn,
-    blocks,
-)
+from rosplat_core.formats.decoded import Into, Made, Progress, Warn, blocks
 from rosplat_core.formats.file_rows import FileRows
 from rosplat_core.formats.quantised import to_bytes
 from rosplat_core.harmonics import C0 as SH_C0
@@ -42,11 +34,6 @@ RECORD = np.dtype(
 def recognises(path: Path, head: bytes) -> bool:
     """Whether a path has the ending."""
     return path.suffix.lower() in SUFFIXES
-
-
-def axes(path: Path) -> Axes:
-    """Where a file's axes point."""
-    return AS_TRAINED
 
 
 def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:

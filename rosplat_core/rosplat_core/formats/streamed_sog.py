@@ -24,15 +24,7 @@ from numpy.typing import NDArray
 
 from rosplat_core.formats import sog
 from rosplat_core.formats.bounds import refusing, size_of
-from rosplat_core.formats.decoded import (
-    AS_TRAINED,
-    Axes,
-    Into,
-    IntoSplats,
-    Made,
-    Progress,
-    Warn,
-)
+from rosplat_core.formats.decoded import Into, IntoSplats, Made, Progress, Warn
 from rosplat_core.log_text import shown
 from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import SceneError, Splats, sh_coefficients
@@ -85,11 +77,6 @@ def recognises(path: Path, head: bytes) -> bool:
     """Whether a path is a lod-meta.json, or a folder with one but without a SOG's meta.json."""
     folder = (path / META).is_file() and not (path / sog.META).is_file()
     return folder or path.name == META
-
-
-def axes(path: Path) -> Axes:
-    """Where a scene's axes point."""
-    return AS_TRAINED
 
 
 def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
