@@ -36,7 +36,6 @@ from rosplat_tools.program.running import run_node
 
 POSES = QoSProfile(depth=5)
 THREADS = 2  # of callbacks
-POLL = 0.005  # longest time between two looks at TF [s]
 
 
 @dataclass
@@ -59,9 +58,8 @@ class AlignNode(Node):
         )
         if self._child and TFMessage is None:
             raise SceneError("parameter broadcast: tf2_msgs is not installed")
-        self._came = threading.Event()
-        self._map = DrawnMap(self, self._came.set)
-        self._pictures = TakenPictures(self, self._map, Straightened, self._came.set)
+        self._map = DrawnMap(self)
+        self._pictures = TakenPictures(self, self._map, Straightened)
         self._health = self._pictures.health
         self._calls: deque[_Call] = deque()
         self._aligned = self.create_publisher(
@@ -80,10 +78,7 @@ class AlignNode(Node):
 
     def align(self) -> None:
         """Aligns pictures until ROS ends."""
-        while self.context.ok():
-            self._came.wait(POLL)
-            self._came.clear()
-            self._map.take()
+        for _ in self._map.turns():
             while self._calls:
                 call = self._calls.popleft()
                 self._answer(call)
@@ -127,7 +122,7 @@ class AlignNode(Node):
     def _on_call(self, request: Align.Request, response: Align.Response) -> Align.Response:
         call = _Call(request, response)
         self._calls.append(call)
-        self._came.set()
+        self._map.came.set()
         while not call.done.wait(0.1):
             if not self.context.ok():
                 response.problem = "the node ends"

@@ -6,7 +6,6 @@ somebody hears them, NAME/image_raw, NAME/depth/image_raw and NAME/normals, at t
 
 from __future__ import annotations
 
-import threading
 import time
 from copy import copy
 from dataclasses import dataclass
@@ -39,7 +38,6 @@ from rosplat_tools.program.running import run_node
 
 # Reliable: such a publisher serves best-effort subscribers, too.
 PICTURES = QoSProfile(depth=5)
-POLL = 0.005  # longest time between two looks at TF [s]
 TOPIC = "topic"  # value of `calibration`: hear CameraInfo, read no file
 
 
@@ -66,9 +64,8 @@ class CameraNode(Node):
         if depth not in DEPTHS:
             known = ", ".join(DEPTHS)
             raise SceneError(f"parameter depth: expected one of {known}, got '{shown(depth)}'")
-        self._came = threading.Event()
-        poses = declare_poses(self, names, self._came.set)
-        self._map = DrawnMap(self, self._came.set)
+        self._map = DrawnMap(self)
+        poses = declare_poses(self, names, self._map.came.set)
         self._cameras = [
             _Camera(self, name, poses, self._map, Shot(round(SECOND / rate), near, far, depth))
             for name in names
@@ -78,10 +75,7 @@ class CameraNode(Node):
 
     def film(self) -> None:
         """Takes pictures until ROS ends."""
-        while self.context.ok():
-            self._came.wait(POLL)
-            self._came.clear()
-            self._map.take()
+        for _ in self._map.turns():
             for camera in self._cameras:
                 camera.film()
 

@@ -10,7 +10,6 @@ compares all pictures of a bag instead, and prints a table.
 from __future__ import annotations
 
 import sys
-import threading
 import time
 
 from rclpy.node import Node
@@ -34,7 +33,6 @@ from rosplat_tools.program.parameters import declare
 from rosplat_tools.program.running import run_node
 
 PICTURES = QoSProfile(depth=5)
-POLL = 0.005  # longest time between two looks at TF [s]
 
 
 class Compare(Node):
@@ -45,11 +43,8 @@ class Compare(Node):
         super().__init__("compare")
         attribute = declare(self, "attribute", False, "Publish the map with a channel residual.")
         aligns = declare(self, "align", False, "Find out by how much poses are off.")
-        self._came = threading.Event()
-        self._map = DrawnMap(self, self._came.set)
-        self._pictures = TakenPictures(
-            self, self._map, lambda lens: _Optics(lens, aligns), self._came.set
-        )
+        self._map = DrawnMap(self)
+        self._pictures = TakenPictures(self, self._map, lambda lens: _Optics(lens, aligns))
         self._residuals = ResidualMap(self, self._map) if attribute else None
         self._rendered = self.create_publisher(Image, "rendered", **overridable(PICTURES))
         self._difference = self.create_publisher(Image, "difference", **overridable(PICTURES))
@@ -59,10 +54,7 @@ class Compare(Node):
 
     def compare(self) -> None:
         """Compares pictures until ROS ends."""
-        while self.context.ok():
-            self._came.wait(POLL)
-            self._came.clear()
-            self._map.take()
+        for _ in self._map.turns():
             try:
                 if taken := self._pictures.next():
                     self._compare(taken)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 
 from rclpy.node import Node
 from std_msgs.msg import Header
@@ -15,16 +16,27 @@ from rosplat_sorter.qos import VIEW, overridable
 from rosplat_tools.map_subscriber import MapSubscriber
 from rosplat_tools.view_messages import view_camera
 
+POLL = 0.005  # longest time between two looks at TF [s]
+
 
 class DrawnMap(MapSubscriber):
-    """A map in a renderer. The same thread calls take() and draws."""
+    """A map in a renderer. The same thread takes turns and draws."""
 
-    def __init__(self, node: Node, heard: Callable[[], None]) -> None:
-        """heard: called whenever a batch has come."""
+    def __init__(self, node: Node) -> None:
         self.renderer = CpuRenderer()
-        super().__init__(node, self.renderer, heard)
+        self.came = threading.Event()
+        """Set whenever something has come that the drawing thread should look at."""
+        super().__init__(node, self.renderer, self.came.set)
         self._views = node.create_publisher(ViewCamera, f"{self.topic}/view", **overridable(VIEW))
         self._instance = f"{node.get_name()}_{uuid.uuid4().hex[:8]}"
+
+    def turns(self) -> Iterator[None]:
+        """Takes batches, and yields, until ROS ends: whenever something has come, or is polled."""
+        while self._node.context.ok():
+            self.came.wait(POLL)
+            self.came.clear()
+            self.take()
+            yield
 
     @property
     def frame_id(self) -> str:

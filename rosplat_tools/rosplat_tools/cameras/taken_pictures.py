@@ -122,13 +122,7 @@ class PictureReader(Generic[Optics]):
 class TakenPictures(Generic[Optics]):
     """Pictures of one camera. Callbacks queue them; the drawing thread calls all else."""
 
-    def __init__(
-        self,
-        node: Node,
-        drawn_map: DrawnMap,
-        prepare: Callable[[Lens], Optics],
-        heard: Callable[[], None],
-    ) -> None:
+    def __init__(self, node: Node, drawn_map: DrawnMap, prepare: Callable[[Lens], Optics]) -> None:
         """prepare: called once with each lens; may raise LensError.
 
         Declares poses, rectified, mask, near and far. Raises SceneError.
@@ -138,8 +132,8 @@ class TakenPictures(Generic[Optics]):
         self.near, self.far = declare_clip(node)
         pixels = read_mask(mask) if mask else None
         self._reader = PictureReader(prepare, rectified=rectified, mask=pixels)
-        self._map, self._heard = drawn_map, heard
-        self._poses = declare_poses(node, [""], heard)
+        self._map = drawn_map
+        self._poses = declare_poses(node, [""], drawn_map.came.set)
         self._images: deque[Image] = deque(maxlen=WAITING)
         self._began = self._poseless_since = time.monotonic()  # since when pictures wait for poses
         self._info: CameraInfo | None = None
@@ -156,7 +150,7 @@ class TakenPictures(Generic[Optics]):
     def _on_image(self, image: Image) -> None:
         self.newest = image
         self._images.append(image)
-        self._heard()
+        self._map.came.set()
 
     def _on_info(self, info: CameraInfo) -> None:
         info.header = Header()  # with another time it is the same calibration
