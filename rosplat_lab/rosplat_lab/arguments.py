@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 
-def whole(least: int, most: int = sys.maxsize) -> Callable[[str], int]:
-    """A type for argparse: whole numbers from least to most."""
-    wanted = f"{least} or more" if most == sys.maxsize else f"{least} to {most}"
+def whole(least: int) -> Callable[[str], int]:
+    """A type for argparse: whole numbers from least on."""
 
     def parse(text: str) -> int:
         try:
             value = int(text)
         except ValueError:
             value = least - 1
-        if not least <= value <= most:
-            raise argparse.ArgumentTypeError(f"'{text}' is no whole number, {wanted}")
+        if value < least:
+            raise argparse.ArgumentTypeError(f"'{text}' is no whole number, {least} or more")
         return value
 
     return parse

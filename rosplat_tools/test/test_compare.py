@@ -105,7 +105,7 @@ def test_what_camera_films_on_a_flight_compare_reads_back(
     truth.replace(SPLATS)
     compared = MapPublisher(node)
     compared.replace(SPLATS)
-    flight = Flight(np.array([0.0, 0.0, 0.5]), 6.0, 1.5, 8.0)
+    flight = Flight.around(SPLATS.positions + SPLATS.origin, 8.0)  # as demo_sensors lays it
 
     def begin(program: str, names: dict[str, str], **parameters: object) -> None:
         topics = ("camera/image_raw", "camera/camera_info", "robot/pose")
@@ -117,8 +117,7 @@ def test_what_camera_films_on_a_flight_compare_reads_back(
 
     begin(
         "demo_sensors", {f"camera/{name}": f"robot/{name}" for name in SENSED},
-        center="[0.0,0.0,0.5]", radius=flight.radius, height=flight.height, period=flight.period,
-        image_rate=5.0,
+        period=flight.period,
     )  # fmt: skip
     begin(
         "camera", {"gaussians": "truth", "camera/pose": "robot/pose"},

@@ -10,7 +10,7 @@ from std_msgs.msg import Header
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.batches import array_bytes
-from rosplat_testing.messages import chunks, decode, encode, encode_deletion
+from rosplat_testing.messages import decode, encode, encode_deletion
 from rosplat_tools.messages import COMPRESSIONS, Slots
 
 Maker = Callable[..., Splats]
@@ -102,19 +102,6 @@ def test_slots_must_fit_the_splats(random_splats: Maker) -> None:
         batch(random_splats(3), range(4))
     with pytest.raises(ValueError, match="contiguous"):
         batch(random_splats(3), range(0, 6, 2))
-
-
-@pytest.mark.parametrize("chunk_bytes", [1, 5000, 10**9])
-def test_chunks_are_small_enough_and_miss_nothing(random_splats: Maker, chunk_bytes: int) -> None:
-    splats = random_splats(100)
-    parts = list(chunks(splats, chunk_bytes))
-    assert np.concatenate([np.arange(100)[part] for part in parts]).tolist() == list(range(100))
-    sizes = [splats[part].nbytes for part in parts]
-    assert all(size <= max(chunk_bytes, splats[:1].nbytes) for size in sizes)
-
-
-def test_an_empty_map_is_one_chunk(random_splats: Maker) -> None:
-    assert list(chunks(random_splats(0), 1000)) == [slice(0, 0)]
 
 
 def compressed(splats: Splats) -> GaussianArray:

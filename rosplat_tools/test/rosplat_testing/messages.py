@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -129,16 +129,6 @@ def as_held(splats: Splats) -> Splats:
     """Splats in the precision in which maps hold them."""
     rows = _core.pack_splats(splats, np.ones(len(splats), bool)).view(np.uint8).ravel()
     return replace(splats, **vars(payload.decode(rows, len(splats), splats.sh_degree, "packed")))
-
-
-def chunks(splats: Splats, chunk_bytes: int) -> Iterator[slice]:
-    """Cuts splats into slices whose arrays take chunk_bytes at most, but one splat at least.
-
-    There is always a first slice, empty where there are no splats.
-    """
-    step = max(1, chunk_bytes * len(splats) // max(1, splats.nbytes))
-    for start in range(0, max(1, len(splats)), step):
-        yield slice(start, min(start + step, len(splats)))
 
 
 def _batch(
