@@ -35,6 +35,7 @@ from rosplat_msgs.srv import LoadScene, RenderView, SaveMap
 from rosplat_sorter import camera
 from rosplat_sorter.backends import open_backend
 from rosplat_sorter.batches import apply
+from rosplat_sorter.camera import numbers
 from rosplat_sorter.order_slots import OrderReader
 from rosplat_sorter.qos import MAP, VIEW
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
@@ -42,7 +43,6 @@ from rosplat_tools.map_publisher import as_message
 from rosplat_tools.program.processes import Processes
 from rosplat_tools.streaming import detail
 from rviz_gaussian_plugin import _offscreen
-from rviz_gaussian_plugin.from_messages import numbers
 from rviz_gaussian_plugin.offscreen import Renderer
 
 # Of a build of the C++ with sanitizers: what has to be loaded first. ROSPLAT_FUZZ_PATH has its

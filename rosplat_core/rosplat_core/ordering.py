@@ -9,6 +9,7 @@ from rosplat_core import _core
 from rosplat_core.cameras import Camera
 from rosplat_core.depth import INVISIBLE, splat_extents
 from rosplat_core.posed_camera import PosedCamera
+from rosplat_core.rendering import pose
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
 from rosplat_core.splats import Splats
 from rosplat_core.view import SortView, unmoved
@@ -34,17 +35,4 @@ def depth_order(splats: Splats, camera: Camera, *, threads: int = 0) -> NDArray[
 
 def view_of(camera: Camera, splats: Splats) -> SortView:
     """A sorter's view of a camera that looks at these splats. Raises CameraError as depth_order."""
-    posed = PosedCamera(
-        position=tuple(camera.position.tolist()),
-        orientation=tuple(camera.orientation.tolist()),
-        fx=camera.fx,
-        fy=camera.fy,
-        cx=camera.cx,
-        cy=camera.cy,
-        width=camera.width,
-        height=camera.height,
-        near_clip=camera.near,
-        far_clip=camera.far,
-        orthographic=camera.orthographic,
-    )
-    return SortView.of(posed, unmoved(splats.origin))
+    return SortView.of(PosedCamera(*pose(camera)), unmoved(splats.origin))

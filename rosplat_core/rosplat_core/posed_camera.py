@@ -14,7 +14,7 @@ class CameraError(ValueError):
 
 @dataclass(frozen=True)
 class PosedCamera:
-    """A camera in the map's frame, as ViewCamera describes it.
+    """A camera in the map's frame, as ViewCamera describes it: numbers in SplatCamera's order.
 
     position: of the optical frame, x y z [m]. orientation: of the optical frame, a quaternion
     x y z w of any length but zero. fx fy: [px], orthographic [px/m]. cx cy width height: [px].
@@ -24,6 +24,7 @@ class PosedCamera:
 
     position: tuple[float, float, float]
     orientation: tuple[float, float, float, float]
+    orthographic: bool
     fx: float
     fy: float
     cx: float
@@ -32,7 +33,6 @@ class PosedCamera:
     height: int
     near_clip: float
     far_clip: float
-    orthographic: bool = False
     extent_scale: float = 1.0
 
     def __post_init__(self) -> None:

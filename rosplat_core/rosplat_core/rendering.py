@@ -78,7 +78,7 @@ def render(splats: Splats, camera: Camera) -> NDArray[np.float32]:
 
 
 def pose(camera: Camera) -> tuple[Any, ...]:
-    """A camera's numbers, as SplatCamera takes them."""
+    """A camera's numbers, as SplatCamera and PosedCamera take them."""
     return (
         tuple(camera.position.tolist()), tuple(camera.orientation.tolist()),
         int(camera.orthographic), camera.fx, camera.fy, camera.cx, camera.cy,

@@ -85,7 +85,7 @@ class SortView:
                 slope_y=np.float32(slope(camera.fy, camera.cy, camera.height)),
                 near_clip=np.float32(camera.near_clip),
                 far_clip=np.float32(camera.far_clip),
-                orthographic=camera.orthographic,
+                orthographic=bool(camera.orthographic),
             )
         for name, value in vars(view).items():
             if name != "translations" and not np.isfinite(value).all():

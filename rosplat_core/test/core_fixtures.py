@@ -66,6 +66,7 @@ def make_camera():
         values = {
             "position": (0.0, 0.0, 0.0),
             "orientation": (0.0, 0.0, 0.0, 1.0),
+            "orthographic": False,
             "fx": 500.0,
             "fy": 500.0,
             "cx": 320.0,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rosplat_core.posed_camera import CameraError, PosedCamera
+from rosplat_sorter.batches import pose_values
 
 if TYPE_CHECKING:
     from rosplat_msgs.msg import ViewCamera
@@ -17,18 +18,13 @@ def decode(message: ViewCamera) -> PosedCamera:
     """The camera of a message. Raises CameraError for an unknown projection, or as PosedCamera."""
     if message.projection not in (PERSPECTIVE, ORTHOGRAPHIC):
         raise CameraError(f"projection is {message.projection}, known are 0 and 1")
-    position, orientation = message.pose.position, message.pose.orientation
-    return PosedCamera(
-        position=(position.x, position.y, position.z),
-        orientation=(orientation.x, orientation.y, orientation.z, orientation.w),
-        fx=message.fx,
-        fy=message.fy,
-        cx=message.cx,
-        cy=message.cy,
-        width=message.width,
-        height=message.height,
-        near_clip=message.near_clip,
-        far_clip=message.far_clip,
-        orthographic=message.projection == ORTHOGRAPHIC,
-        extent_scale=message.extent_scale,
-    )
+    return PosedCamera(*(*numbers(message), message.extent_scale))
+
+
+def numbers(camera: ViewCamera) -> tuple[Any, ...]:
+    """A camera's numbers as SplatCamera takes them, and set_camera after a view and a sequence."""
+    position, orientation = pose_values(camera.pose)
+    return (
+        position, orientation, camera.projection, camera.fx, camera.fy, camera.cx, camera.cy,
+        camera.width, camera.height, camera.near_clip, camera.far_clip,
+    )  # fmt: skip

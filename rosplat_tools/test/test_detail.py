@@ -19,8 +19,9 @@ from rosplat_tools.streaming.slot_allocator import slots_for
 
 def camera(position: tuple[float, float, float] = (0, 0, 0), **given: object) -> PosedCamera:
     values = {
-        "position": position, "orientation": (0, 0, 0, 1), "fx": 500.0, "fy": 500.0, "cx": 320.0,
-        "cy": 240.0, "width": 640, "height": 480, "near_clip": 0.1, "far_clip": 1e4,
+        "position": position, "orientation": (0, 0, 0, 1), "orthographic": False,
+        "fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0,
+        "width": 640, "height": 480, "near_clip": 0.1, "far_clip": 1e4,
     }  # fmt: skip
     return PosedCamera(**(values | given))
 

@@ -311,7 +311,7 @@ def test_the_map_follows_the_mouse(up: tuple[float, float, float]) -> None:
 @pytest.mark.parametrize("wide", [0.0, 1e-300, 1e12, 1e15, 1e30, 3e38])
 @pytest.mark.parametrize("far", [0.0, 1e17, 1e300])
 def test_every_map_is_framed_by_a_camera_that_can_be_drawn_from(wide: float, far: float) -> None:
-    from rviz_gaussian_plugin.from_messages import numbers
+    from rosplat_sorter.camera import numbers
     from rviz_gaussian_plugin.viewer.orbit import OrbitCamera, bounds
 
     def look() -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.formats.streamed_sog import Pieces, Streamed, open_streamed
+from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.splats import SceneError, concatenate, splat_bytes
 from rosplat_lab import machine, metrics
 from rosplat_lab.bench import streamed_gardens
@@ -23,7 +24,6 @@ from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement
 from rosplat_lab.programs import Programs
-from rosplat_sorter.camera import decode
 from rosplat_tools.program.processes import quoted
 from rosplat_tools.streaming.detail import NOTHING, Levels, choose, in_sight, magnification
 from rosplat_tools.view_messages import view_camera
@@ -239,9 +239,7 @@ def _truth(scene: Streamed, camera: Camera) -> Array:
     """The picture of all that a camera may see, (height, width, 3), as fine as it is to be had."""
     from rosplat_core.rendering import CpuRenderer, posed
 
-    message = view_camera(camera)
-    message.view_id, message.header.frame_id = "bench", "map"
-    view = decode(message)
+    view = PosedCamera(*rendering.pose(camera))
     levels = Levels(
         np.array([chunk.low for chunk in scene.chunks]),
         np.array([chunk.high for chunk in scene.chunks]),

@@ -23,11 +23,11 @@ from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.batches import apply, array
+from rosplat_sorter.camera import numbers
 from rosplat_sorter.map_subscription import MapSubscription
 from rosplat_sorter.qos import ORDER, VIEW, overridable
 from rosplat_tools.images import to_image
 from rosplat_tools.program.parameters import declare, declare_path
-from rviz_gaussian_plugin.from_messages import numbers
 from rviz_gaussian_plugin.offscreen import Renderer
 from rviz_gaussian_plugin.viewer.orbit import bounds
 
