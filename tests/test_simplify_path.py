@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rosplat_core.cameras import Camera, look_at, save_cameras
+from rosplat_core.cameras import Camera, look_at, orbit, save_cameras
 from rosplat_core.formats import load, save
 from rosplat_core.generated import generate
 from rosplat_core.simplification import search
@@ -119,6 +119,16 @@ def test_the_same_count_looks_better_along_the_path(scene: Splats, path: list[Ca
     ours, others = along.judge(along.splats), along.judge(anywhere.splats)
     assert ours.psnr > others.psnr + 3
     assert ours.worst > others.worst + 3
+
+
+@pytest.mark.parametrize("bound", [20, 25])
+def test_all_views_held_back_keep_the_bound(bound: float) -> None:
+    """In rooms, the few views that stand for all while it searches tell little of the others."""
+    path = orbit([[-2, -2, -2], [2, 2, 2]], 12, width=320, height=180)
+    work = Simplification(generate(4000, sh_degree=0, scene="rooms"), path=path)
+    work.shrink(bound)
+    assert len(work.splats) < 1000
+    assert work.judge(work.splats).psnr > bound - 0.01  # as far as sums of 32 bits tell
 
 
 def test_refitting_looks_along_the_path(scene: Splats, path: list[Camera]) -> None:

@@ -296,14 +296,17 @@ class Simplification:
     def _look(self, pairs: Pairs, count: int, bound: float) -> float:
         """Mean square error with the first count pairs merged.
 
-        Once a map of about that PSNR was drawn from all views, draws only those that differed most.
+        Once a map of about that PSNR was drawn from all views, first draws those that differed
+        most: maps that fail there are told from three views, but none passes unseen by the others.
         """
         left = len(self.splats) - count
         self._progress(f"checking {left:,} splats", 0.0)
         trial = self._trial = self._trial or Trial(self.splats)
         trial.merge(pairs, count)
         if self.steps and abs(self.steps[-1].quality.psnr - bound) < ALIKE:
-            return self._others * float(self.judge.errors(trial, self._telling).mean())
+            estimate = self._others * float(self.judge.errors(trial, self._telling).mean())
+            if psnr_of(estimate) < bound:
+                return estimate
         errors = self.judge.errors(trial)
         self.steps.append(Step(left, Quality.of(errors)))
         self._telling = np.argsort(-errors)[:TELLING]
