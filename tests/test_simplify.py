@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ import pytest
 
 from rosplat_core.formats import load, save
 from rosplat_core.generated import generate
-from rosplat_core.simplification import simplify
+from rosplat_core.simplification import search, simplify
 from rosplat_core.simplification.merging import find_pairs, merge
 from rosplat_core.simplification.search import Judge, Simplification, Trial, learn
 from rosplat_core.simplification.views import Around, resized
@@ -137,6 +138,27 @@ def test_fewer_splats_keep_a_bound_where_they_are_refitted(garden: Splats, tmp_p
     assert main([GARDEN, str(refitted), "--psnr", "33", "--refine", "0.3"]) == 0
     assert len(load(refitted)) < len(load(merged))
     assert Simplification(garden).judge(load(refitted)).psnr >= 33
+
+
+@pytest.mark.parametrize("disturbed", [False, True], ids=["in vain", "Ctrl-C"])
+def test_where_refitting_falls_short_nothing_is_refitted(
+    garden: Splats, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, disturbed: bool
+) -> None:
+    tries = 0
+
+    def refit(*_: object) -> Iterator[Splats]:
+        nonlocal tries
+        tries += 1
+        yield simplify(garden, psnr=34)  # better than what it starts with, but not enough
+        if disturbed:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(search, "refit", refit)
+    refitted = tmp_path / "refitted.ply"
+    assert main([GARDEN, str(refitted), "--psnr", "36", "--refine", "1"]) == 0
+    assert tries == (1 if disturbed else 2)
+    assert len(load(refitted)) < len(garden)
+    assert Simplification(garden).judge(load(refitted)).psnr >= 36
 
 
 def test_bounds_that_exclude_each_other(out: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -241,15 +241,17 @@ class Simplification:
 
     def refine(
         self, seconds: float, bound: float = MOST_PSNR, most_steps: int = MOST_STEPS
-    ) -> None:
+    ) -> bool:
         """Refits the map for `seconds` [s], most_steps, or until it has a PSNR of bound [dB].
 
         Keeps only a map that is better in the held-back views together, and no worse in the worst
         of them. Ctrl-C ends the fit and keeps the best map so far; without one, it is raised.
+        Returns whether there was no Ctrl-C.
         """
         self._trial = None  # frees its memory
         whole = self._whole[0]
         first = best = self.judge(self.splats)
+        undisturbed = True
         self.steps.append(Step(len(self.splats), first))
         fitted = refit(
             self.splats, Trial(whole).renderer,
@@ -267,7 +269,9 @@ class Simplification:
         except KeyboardInterrupt:
             if best is first:
                 raise
+            undisturbed = False
         self.steps.append(Step(len(self.splats), best))
+        return undisturbed
 
     def _most(self, pairs: Pairs, bound: float, before: float) -> tuple[int, float]:
         """How many pairs may be merged, and the mean square error then. before: the error now."""

@@ -221,7 +221,8 @@ def _within(
     refine: float,
 ) -> tuple[Written, Quality]:
     """Brings a map within its bounds; returns what its file will hold. Raises SceneError."""
-    splats, size = max_splats or len(work.splats), max_bytes or sys.maxsize
+    every = work.splats
+    splats, size = max_splats or len(every), max_bytes or sys.maxsize
     if psnr is None:
         written = _as_small_as(work, output, splats, size)
         if refine > 0:
@@ -229,7 +230,7 @@ def _within(
             written = _as_small_as(work, output, splats, size)
         return written, work.judge(written.splats)
     refitted = _refitted(work, output, psnr, refine) if refine > 0 else None
-    written, quality = refitted or _as_good_as(work, output, psnr)
+    written, quality = refitted or _as_good_as(work, every, output, psnr)
     if len(written.splats) <= splats and written.bytes <= size:
         return written, quality
     needed = f"{psnr:g} dB take {len(written.splats):,} splats in {written.bytes:,} bytes"
@@ -238,9 +239,11 @@ def _within(
     raise SceneError(f"{output.path}: {needed}; {len(written.splats):,} splats have {less:.1f} dB")
 
 
-def _as_good_as(work: Simplification, output: Output, psnr: float) -> tuple[Written, Quality]:
+def _as_good_as(
+    work: Simplification, every: Splats, output: Output, psnr: float
+) -> tuple[Written, Quality]:
     """Few splats of a PSNR. Raises SceneError if the format can't have it, or all are needed."""
-    every, bound = work.splats, psnr
+    bound = psnr
     of_all: float | None = None  # PSNR of the whole map in this format [dB]
     for _ in range(TRIES):
         work.shrink(bound)
@@ -273,16 +276,18 @@ def _as_good_as(work: Simplification, output: Output, psnr: float) -> tuple[Writ
 def _refitted(
     work: Simplification, output: Output, psnr: float, seconds: float
 ) -> tuple[Written, Quality] | None:
-    """Fewer splats, refitted until they have a PSNR; None where refitting doesn't reach it."""
+    """Fewer splats, refitted until they have a PSNR; None where time or Ctrl-C ends that first."""
     for gain in GAINS:
         if psnr <= gain:
             continue
         work.shrink(psnr - gain)
-        work.refine(seconds / len(GAINS), psnr + EXCESS)
+        undisturbed = work.refine(seconds / len(GAINS), psnr + EXCESS)
         written = output.write(work.splats)
         quality = work.judge(written.splats)
         if quality.psnr >= psnr:
             return written, quality
+        if not undisturbed:
+            break
     return None
 
 
