@@ -268,6 +268,41 @@ def test_refusals_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert not out.exists()
 
 
+def test_a_report_replaces_nothing_unasked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, cameras, poses, bag = (
+        tmp_path / name for name in ("scene.ply", "cameras.json", "poses.txt", "bag.mcap")
+    )
+    save(scene, generate(10))
+    for file in (cameras, poses, bag):
+        file.write_text("precious")
+    (link := tmp_path / "link.json").symlink_to(cameras)
+    out = tmp_path / "out.ply"
+    bound = [str(scene), str(out), "--psnr", "50", "--cameras", str(cameras)]
+    for report, *more in (
+        (scene, "--overwrite"),
+        (out,),
+        (cameras, "--overwrite"),
+        (link, "--overwrite"),
+        (poses, "--overwrite", "--trajectory", str(poses)),
+        (bag, "--overwrite", "--trajectory", f"{bag}:/poses"),
+    ):
+        assert main([*bound, "--report", str(report), *more]) == 1
+        assert f"{report}: is an input, or the output" in capsys.readouterr().err
+    assert main([*bound, "--report", str(poses)]) == 1
+    assert f"{poses}: exists already (--overwrite replaces it)" in capsys.readouterr().err
+    assert {file.read_text() for file in (cameras, poses, bag)} == {"precious"}
+    assert not out.exists()
+
+
+def test_a_report_is_replaced_where_that_is_asked_for(out: Path, tmp_path: Path) -> None:
+    (report := tmp_path / "report.json").write_text("old")
+    arguments = [GARDEN, str(out), "--max-splats", "100", "--report", str(report)]
+    assert main([*arguments, "--overwrite"]) == 0
+    assert json.loads(report.read_text())["splats"] == 100
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interrupted_it_leaves_nothing(tmp_path: Path, number: int) -> None:
     folder = tmp_path / "out"

@@ -131,7 +131,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="write the figures of all maps that were tried, as JSON",
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace an output that exists")
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace an output or a report that exists"
+    )
     return parser
 
 
@@ -148,12 +150,10 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
         raise SceneError("what for? Give --psnr, --max-splats or --max-bytes")
     out = Path(options.output)
     check_output(out, options.overwrite)
-    if out.exists() and Path(options.input).exists() and out.samefile(options.input):
+    if out.exists() and _same(out, Path(options.input)):
         raise SceneError(f"{out}: is the scene itself")
-    if options.report and not options.report.parent.is_dir():
-        raise SceneError(f"{options.report}: {options.report.parent} is no folder")
-    if options.report and options.report.exists() and not options.report.is_file():
-        raise SceneError(f"{options.report}: is no file that could be replaced")
+    if options.report:
+        _check_report(options.report, options)
     with _folder_beside(out):
         pass  # refuses now, not after all the work
     path = along(options.cameras, options.trajectory)
@@ -206,6 +206,27 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
         }
         write_text(options.report, json.dumps(report, indent=1, allow_nan=False) + "\n")
         say(f"wrote {options.report}")
+
+
+def _check_report(report: Path, options: argparse.Namespace) -> None:
+    """Raises SceneError, before any work, where a report can't be written, or would be a loss."""
+    if not report.parent.is_dir():
+        raise SceneError(f"{report}: {report.parent} is no folder")
+    if report.exists() and not report.is_file():
+        raise SceneError(f"{report}: is no file that could be replaced")
+    bag = str(options.trajectory or "").partition(":")[0]  # of BAG:TOPIC
+    for file in (options.input, options.output, options.cameras, options.trajectory, bag):
+        if file and _same(report, Path(file)):
+            raise SceneError(f"{report}: is an input, or the output")
+    if report.exists() and not options.overwrite:
+        raise SceneError(f"{report}: exists already (--overwrite replaces it)")
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Whether two paths are of one file, which need not be there yet."""
+    if one.exists() and other.exists():
+        return one.samefile(other)
+    return one.resolve() == other.resolve()
 
 
 def _row(count: int, of: int, quality: Quality) -> str:
