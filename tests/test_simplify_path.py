@@ -14,7 +14,7 @@ from rosplat_core.formats import load, save
 from rosplat_core.generated import generate
 from rosplat_core.simplification import search
 from rosplat_core.simplification.search import LEARNT, Simplification, Trial, learn
-from rosplat_core.simplification.views import HELD, TURN, Along, Around
+from rosplat_core.simplification.views import HELD, LEAST_BETWEEN, TURN, Along, Around
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import SceneError, Splats, concatenate
 from rosplat_lab.simplify.command import main
@@ -241,6 +241,21 @@ def test_a_calibration_s_yaml(tmp_path: Path) -> None:
         info.write_text(text)
         with pytest.raises(SceneError, match=f"info.yaml: {reason}"):
             load_camera_info(info)
+
+
+def test_a_path_that_looks_away_sees_nothing_though_its_neighbours_do(
+    scene: Splats, path: list[Camera]
+) -> None:
+    def away(camera: Camera) -> Camera:
+        return replace(camera, world_to_camera=np.diag([-1, 1, -1, 1]) @ camera.world_to_camera)
+
+    with pytest.raises(SceneError, match="no camera of the path sees a splat"):
+        Simplification(scene, path=[away(camera) for camera in path])
+    number = LEAST_BETWEEN // 2  # of the one that is held back: that it sees something is enough
+    some = [away(camera) for camera in path[:LEAST_BETWEEN]]
+    some[number] = path[number]
+    work = Simplification(scene, path=some)
+    assert work.views.held[0].world_to_camera is some[number].world_to_camera
 
 
 def test_paths_that_are_none(

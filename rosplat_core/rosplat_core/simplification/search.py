@@ -143,8 +143,10 @@ def learn(trial: Trial, places: Views, progress: Progress) -> Learnt:
     """Finds contributions in as many views as it takes: doubles them as long as that tells more.
 
     The measure is what held-back views lose without the half of the splats that contributes least.
-    Raises SceneError where no camera of a path sees a splat.
+    Raises SceneError where no camera of a path sees a splat, whatever its neighbours see.
     """
+    if places.path and not any(_sees(trial, camera) for camera in places.path):
+        raise SceneError("no camera of the path sees a splat: is it in the scene's coordinates?")
     held = []
     for number, camera in enumerate(places.held):
         progress("looking from the views to check", number / len(places.held))
@@ -168,6 +170,12 @@ def learn(trial: Trial, places: Views, progress: Progress) -> Learnt:
             return learnt
 
 
+def _sees(trial: Trial, camera: Camera) -> bool:
+    sums = Sums()
+    _look(trial, camera, sums)
+    return bool(sums.weight.any())
+
+
 def _look(trial: Trial, camera: Camera, sums: Sums) -> NDArray[np.float32]:
     """Adds a view to sums; returns (n,) squares by which pictures change without each splat."""
     trial.renderer.contribute(posed(resized(camera, PIXELS)), sums)
@@ -178,8 +186,6 @@ def _learnt(splats: Splats, places: Views, sums: Sums, views: int) -> Learnt:
     """The result of `views` views, with a little added for what no view sees: others will."""
     found = [array[: len(splats)] for array in (sums.weight, sums.energy, sums.error)]
     hidden = found[0] == 0
-    if places.complete and hidden.all():
-        raise SceneError("no camera of the path sees a splat: is it in the scene's coordinates?")
     pixels = places.pixels * math.sqrt(WIDTH * HEIGHT / PIXELS)
     unhidden = np.minimum(2 * math.pi * splats.opacities * areas(splats) / pixels**2, PIXELS)
     weight = views * UNSEEN * unhidden

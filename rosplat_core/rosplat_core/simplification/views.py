@@ -57,6 +57,8 @@ class Views(Protocol):
 
     margin: float | None
     """Most distance of views from a path; None without a path. [m]"""
+    path: list[Camera]
+    """The path's own cameras; empty without a path."""
     complete: bool
     """Whether a splat that shows in none of many such views need not show in any."""
     still: float
@@ -80,6 +82,7 @@ class Around:
     def __init__(self, splats: Splats) -> None:
         """Raises SceneError, as whereabouts."""
         self._here = whereabouts(splats)
+        self.path: list[Camera] = []
         radius = self._here.radius
         offsets = splats.positions + (splats.origin - self._here.centre)
         targets = offsets[np.linalg.norm(offsets, axis=1) <= radius].astype(np.float32)
@@ -125,7 +128,7 @@ class Along:
         """
         if not path:
             raise SceneError("the path has no camera")
-        path = [resized(camera, WIDTH * HEIGHT) for camera in path]
+        self.path = path = [resized(camera, WIDTH * HEIGHT) for camera in path]
         away, free = _clearances(splats, np.array([camera.position for camera in path]))
         self.margin: float | None = MARGIN * float(np.median(free)) if margin is None else margin
         focal = float(np.median([max(camera.fx, camera.fy) for camera in path]))
@@ -135,7 +138,7 @@ class Along:
         self._up = up / max(float(np.linalg.norm(up)), 1e-9)
         every = max(LEAST_BETWEEN, math.ceil(len(path) / (HELD // 2)))
         learnt = np.arange(len(path)) % every != every // 2
-        self._path = [path[i] for i in np.flatnonzero(learnt)]
+        self._learnt = [path[i] for i in np.flatnonzero(learnt)]
         self._reach = np.minimum(self.margin, free[learnt] / 2)
         self.held = [path[i] for i in np.flatnonzero(~learnt)]
         self.held += self.cameras(HELD - len(self.held), HELD_SEED)
@@ -147,8 +150,8 @@ class Along:
         cameras = []
         for index in range(count):
             # Steps of the golden ratio spread evenly, however many there are.
-            number = int(len(self._path) * ((start + GOLDEN * index) % 1))
-            camera, reach = self._path[number], self._reach[number]
+            number = int(len(self._learnt) * ((start + GOLDEN * index) % 1))
+            camera, reach = self._learnt[number], self._reach[number]
             aside = reach * random.uniform() ** (1 / 3) * _direction(random)
             turn = Rotation.from_rotvec(math.radians(TURN) * random.uniform() * _direction(random))
             around = 2 * math.pi * random.uniform()
