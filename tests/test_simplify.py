@@ -106,6 +106,21 @@ def test_an_empty_map(garden: Splats) -> None:
         simplify(garden[:0], psnr=45)
 
 
+@pytest.mark.parametrize("name", ["positions", "scales", "opacities", "orientations", "sh"])
+def test_splats_that_can_not_be_drawn_are_dropped(
+    garden: Splats, caplog: pytest.LogCaptureFixture, name: str
+) -> None:
+    spoilt = getattr(garden, name).copy()
+    spoilt[3], spoilt[5] = np.nan, np.inf
+    splats = replace(garden, **{name: spoilt})
+    fewer = simplify(splats, max_splats=500)
+    assert len(fewer) == 500
+    assert np.isfinite(getattr(fewer, name)).all()
+    assert "simplify: dropped 2 of 3,000 splats: a number that is not finite" in caplog.text
+    with pytest.raises(SceneError, match="no splats"):
+        simplify(splats[[3, 5]], max_splats=500)
+
+
 def test_a_bound_that_no_splat_can_be_spared_for(
     out: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -135,14 +135,10 @@ class Into(ABC, Generic[Made]):
         Drops splats that hold a number that is not finite, a negative scale or a quaternion of
         length zero, and tells warn how many.
         """
-        usable = self._usable
-        dropped = len(usable) - np.count_nonzero(usable)
-        if dropped:
-            warn(
-                f"{path}: dropped {dropped:,} of {len(usable):,} splats: "
-                "a number that is not finite, a negative scale, or a quaternion of length zero"
-            )
-        kept = usable if dropped else slice(None)
+        drops = told_drops(self._usable)
+        if drops:
+            warn(f"{path}: {drops}")
+        kept = self._usable if drops else slice(None)
         return self._made(kept, antialiased, {name: each[kept] for name, each in channels.items()})
 
     def make(self, path: Path, warn: Warn, columns: Columns, antialiased: bool = False) -> Made:
@@ -161,7 +157,7 @@ class Into(ABC, Generic[Made]):
     def _room(self, part: slice) -> Columns: ...
 
     def _take(self, part: slice, written: Columns) -> None:
-        self._usable[part] = _usable(written)
+        self._usable[part] = usable(written)
 
     @abstractmethod
     def _made(
@@ -235,13 +231,24 @@ class IntoPacked(Into[PackedSplats]):
         return packed
 
 
-def _usable(columns: Columns) -> NDArray[np.bool_]:
+def usable(columns: Columns) -> NDArray[np.bool_]:
     """(n,) which splats can be drawn. Gives their quaternions unit length."""
     positions, orientations, scales, opacities, sh = columns
     lengths = np.linalg.norm(orientations, axis=1)
     orientations /= lengths[:, None]
     # A sum is finite where all of its terms are.
     sums = positions.astype(np.float32).sum(axis=1) + lengths + scales.sum(axis=1) + opacities
-    usable: NDArray[np.bool_] = np.isfinite(sums + sh.sum(axis=(1, 2), dtype=np.float64))
-    usable &= (lengths > 0) & (scales.min(axis=1) >= 0)
-    return usable
+    kept: NDArray[np.bool_] = np.isfinite(sums + sh.sum(axis=(1, 2), dtype=np.float64))
+    kept &= (lengths > 0) & (scales.min(axis=1) >= 0)
+    return kept
+
+
+def told_drops(kept: NDArray[np.bool_]) -> str:
+    """How many splats are not usable, and what may be wrong with them; empty where all are."""
+    dropped = len(kept) - np.count_nonzero(kept)
+    if not dropped:
+        return ""
+    return (
+        f"dropped {dropped:,} of {len(kept):,} splats: "
+        "a number that is not finite, a negative scale, or a quaternion of length zero"
+    )

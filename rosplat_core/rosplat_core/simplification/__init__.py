@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 
+import numpy as np
+
 from rosplat_core.cameras import Camera
+from rosplat_core.formats.decoded import Columns, told_drops, usable
 from rosplat_core.splats import SceneError, Splats
+
+_log = logging.getLogger(__name__)
 
 
 def simplify(
@@ -24,7 +30,8 @@ def simplify(
     for refitting the splats that are left to pictures of the map, which raises the PSNR [s].
     cameras: a path, if only views along it matter; splats that these miss least are left out.
     margin: most distance of such views from the path [m], by default a quarter of the way to the
-    nearest splats. Raises SceneError for an empty map or path, and unless exactly one of psnr and
+    nearest splats. Splats that can't be drawn are dropped, with a warning in the log, as loading
+    drops them. Raises SceneError for an empty map or path, and unless exactly one of psnr and
     max_splats is given, above 0.
     """
     from rosplat_core.simplification.search import Simplification  # scipy takes its time
@@ -32,6 +39,7 @@ def simplify(
     bound = psnr if max_splats is None else max_splats
     if bound is None or (psnr is None) == (max_splats is None) or not bound > 0:
         raise SceneError(f"simplify: give psnr or max_splats, above 0; got {psnr} and {max_splats}")
+    splats = _drawn(splats)
     if not len(splats):
         raise SceneError("simplify: the map has no splats")
     work = Simplification(splats, path=cameras, margin=margin)
@@ -42,3 +50,17 @@ def simplify(
     if refine > 0:
         work.refine(refine)
     return work.splats
+
+
+def _drawn(splats: Splats) -> Splats:
+    """The splats that can be drawn; the log says how many can't."""
+    columns = Columns(
+        splats.positions.astype(np.float64), splats.orientations.copy(), splats.scales,
+        splats.opacities, splats.sh,
+    )  # fmt: skip
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        kept = usable(columns)
+    if drops := told_drops(kept):
+        _log.warning("simplify: %s", drops)
+        return splats[kept]
+    return splats
