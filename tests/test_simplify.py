@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -11,10 +12,12 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from rosplat_core.cameras import orbit
 from rosplat_core.formats import load, save
 from rosplat_core.generated import generate
 from rosplat_core.simplification import search, simplify
@@ -104,6 +107,20 @@ def test_the_bound_is_that_of_the_file(garden: Splats, tmp_path: Path) -> None:
 def test_an_empty_map(garden: Splats) -> None:
     with pytest.raises(SceneError, match="no splats"):
         simplify(garden[:0], psnr=45)
+
+
+@pytest.mark.parametrize(
+    ("given", "error"),
+    [
+        ({"max_splats": 2.5}, "max_splats is 2.5, expected a whole number"),
+        ({"psnr": 40, "margin": -1.0}, "margin is -1.0, expected a distance in metres, 0 or more"),
+        ({"psnr": 40, "margin": math.nan}, "margin is nan, expected a distance in metres"),
+        ({"psnr": math.nan}, "give psnr or max_splats, above 0; got nan and None"),
+    ],
+)
+def test_arguments_that_are_none(garden: Splats, given: dict[str, Any], error: str) -> None:
+    with pytest.raises(SceneError, match=f"simplify: {error}"):
+        simplify(garden, **given, cameras=orbit([[-2, -2, -2], [2, 2, 2]], 12))
 
 
 @pytest.mark.parametrize("name", ["positions", "scales", "opacities", "orientations", "sh"])

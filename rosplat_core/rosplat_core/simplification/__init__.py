@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from numbers import Integral
 
 import numpy as np
 
@@ -31,14 +32,18 @@ def simplify(
     cameras: a path, if only views along it matter; splats that these miss least are left out.
     margin: most distance of such views from the path [m], by default a quarter of the way to the
     nearest splats. Splats that can't be drawn are dropped, with a warning in the log, as loading
-    drops them. Raises SceneError for an empty map or path, and unless exactly one of psnr and
-    max_splats is given, above 0.
+    drops them. Raises SceneError for an empty map or path, a max_splats that is not whole, a
+    negative margin, and unless exactly one of psnr and max_splats is given, above 0.
     """
     from rosplat_core.simplification.search import Simplification  # scipy takes its time
 
     bound = psnr if max_splats is None else max_splats
     if bound is None or (psnr is None) == (max_splats is None) or not bound > 0:
         raise SceneError(f"simplify: give psnr or max_splats, above 0; got {psnr} and {max_splats}")
+    if max_splats is not None and not isinstance(max_splats, Integral):
+        raise SceneError(f"simplify: max_splats is {max_splats}, expected a whole number")
+    if margin is not None and not margin >= 0:
+        raise SceneError(f"simplify: margin is {margin}, expected a distance in metres, 0 or more")
     splats = _drawn(splats)
     if not len(splats):
         raise SceneError("simplify: the map has no splats")
