@@ -196,7 +196,8 @@ def figure(chart: Chart, records: Sequence[Record], statistic: str = "p50") -> F
     drawn.legend(
         handles.values(), handles.keys(), loc="outside right upper", fontsize=8, frameon=False
     )
-    drawn.suptitle(f"{chart.title} ({statistic})", fontsize=12)
+    # From the left edge: in the middle, a long title would reach into the legend.
+    drawn.suptitle(f"{chart.title} ({statistic})", x=0.01, ha="left", fontsize=12)
     drawn.supxlabel(_caption(records, int(17 * width)), fontsize=7, color="0.35")
     return drawn
 
