@@ -164,6 +164,14 @@ def test_a_map_is_quantised_as_publishers_send_it() -> None:
     np.testing.assert_array_equal(whole.positions[:2000], splats.positions)
 
 
+@pytest.mark.parametrize(
+    ("splats", "text"),
+    [(1, "1"), (500, "500"), (1000, "1k"), (250_000, "250k"), (1_500_000, "1.5M")],
+)
+def test_a_number_of_splats_in_few_signs(splats: int, text: str) -> None:
+    assert ways.counted(splats) == text
+
+
 def test_every_way_has_a_name_and_a_map_of_its_own() -> None:
     splats = generate(8000)
     made = dict(ways.maps(splats, True))

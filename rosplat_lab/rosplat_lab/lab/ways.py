@@ -57,6 +57,8 @@ class Way:
 
 def counted(splats: float) -> str:
     """A number of splats, as Detail and SPLATS take it."""
+    if splats < 1e3:
+        return f"{splats:.0f}"
     return f"{splats / 1e6:g}M" if splats >= 1e6 else f"{splats / 1e3:.0f}k"
 
 
