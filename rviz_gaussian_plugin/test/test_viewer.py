@@ -20,7 +20,7 @@ from std_msgs.msg import Header
 
 from rosplat_core.cameras import Camera
 from rosplat_core.maps import Arrival, GaussianMap
-from rosplat_core.rendering import SplatCamera
+from rosplat_core.rendering import SplatCamera, insert_all
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
@@ -37,7 +37,7 @@ offscreen = pytest.importorskip(
     "rviz_gaussian_plugin.offscreen", reason="the renderer is not built: no viewer to test"
 )
 
-from rviz_gaussian_plugin.viewer.node import Viewer  # noqa: E402
+from rviz_gaussian_plugin.viewer.node import Viewer, described  # noqa: E402
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -420,6 +420,55 @@ def test_a_closed_window_leaves_its_last_figures(
 
     windowed(close)
     assert "1 splats, 1 in view" in capsys.readouterr().out
+
+
+def test_a_window_at_rest_is_drawn_anew_for_what_changes_it(
+    windowed: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import pygame
+
+    from rviz_gaussian_plugin.viewer import command
+
+    monkeypatch.setattr(command, "CAPTION", float("inf"))
+    shown: list[None] = []  # one for each time
+    flip = pygame.display.flip
+    monkeypatch.setattr(pygame.display, "flip", lambda: (shown.append(None), flip()))
+
+    def expose(viewer: Viewer) -> None:
+        pygame.event.post(pygame.event.Event(pygame.WINDOWEXPOSED))
+
+    def zoom(viewer: Viewer) -> None:
+        pygame.event.post(pygame.event.Event(pygame.MOUSEWHEEL, y=1))
+
+    def grow(viewer: Viewer) -> None:
+        insert_all(viewer.renderer, discs((RED, 2.0), (GREEN, 3.0)))
+
+    def close(viewer: Viewer) -> None:
+        pygame.event.post(pygame.event.Event(pygame.QUIT))
+
+    changes = [expose, zoom, grow, close]
+    counts: list[int] = []  # of what was shown, at each frame since the last change
+
+    def change_at_rest(viewer: Viewer, camera: ViewCamera) -> None:
+        counts.append(len(shown))
+        if viewer.complete() and shown and counts[-20:] == [len(shown)] * 20:
+            changes.pop(0)(viewer)
+            counts.clear()
+            shown.clear()
+        elif len(counts) > 1000:  # it never rests, or doesn't show the change
+            close(viewer)
+
+    windowed(change_at_rest)
+    assert not changes
+
+
+def test_a_frame_s_time_is_that_of_its_picture() -> None:
+    report = {
+        "splats": 1, "error": 0.0, "detail_error": "", "order_source": "processor",
+        "order_age": 0.0, "sort_time": 0.0, "draw_time": 2e-4, "paint_time": 0.02,
+    }  # fmt: skip
+    assert "frame 20.0 ms" in described(1, report)
+    assert "frame 0.2 ms" in described(1, report | {"paint_time": 0.0})  # a card's
 
 
 def test_a_drag_turns_a_map_that_still_grows(

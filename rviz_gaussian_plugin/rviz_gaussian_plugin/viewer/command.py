@@ -30,6 +30,9 @@ STILL = (1280, 720)
 ORBIT = (480, 270)
 ORBIT_FRAMES = 36
 ORDER_TIMEOUT = 2.0  # how long a still waits for a sorter's order [s]
+MOVING, RESTING = 2, 33  # longest between two looks at what a window shows: it changes or not [ms]
+CAPTION = 0.5  # between two captions of the window [s]
+AGES = {"order_age", "picture_age", "camera_off", "draw_time"}  # differ though the picture doesn't
 BACKGROUND = (0.125, 0.133, 0.149)  # as in the shipped rviz configuration
 
 
@@ -94,12 +97,15 @@ def show_window(viewer: Viewer) -> None:
     orbit, said = _framed(viewer), 0.0
     framed = False  # until the map is whole, or the user has moved the camera
     shown: tuple[object, ...] = ()
+    seen: dict[str, object] = {}  # what the report says of the picture in the window
+    pause = MOVING
     camera, view_id, figures, closed = ViewCamera(), "", "", False
     try:
         while viewer.context.ok() and not closed:
             if not framed and viewer.renderer.splats:
                 orbit, framed = _framed(viewer), viewer.complete()
-            for event in pygame.event.get():
+            events = [pygame.event.wait(pause), *pygame.event.get()]
+            for event in events:
                 if event.type == pygame.QUIT or (
                     event.type == pygame.KEYDOWN and event.key in (pygame.K_q, pygame.K_ESCAPE)
                 ):
@@ -118,18 +124,28 @@ def show_window(viewer: Viewer) -> None:
                         orbit.pan(right, down)
             width, height = window.get_size()
             state = (*orbit.target, orbit.distance, orbit.yaw, orbit.pitch, width, height)
-            if state != shown:
+            moved = state != shown
+            if moved:
                 shown = state
                 camera = view_camera(orbit.camera(width, height))
                 view_id = viewer.look(camera, "window")
-            figures = described(viewer.renderer.splats, viewer.draw_frame(view_id, camera))
-            pixels = viewer.renderer.read_color8(BACKGROUND)
-            window.blit(pygame.image.frombuffer(pixels.tobytes(), (width, height), "RGB"), (0, 0))
-            pygame.display.flip()
-            if time.monotonic() - said > 0.5:
+            report = viewer.draw_frame(view_id, camera)
+            figures = described(viewer.renderer.splats, report)
+            picture = {name: value for name, value in report.items() if name not in AGES}
+            changed = moved or picture != seen
+            pause = MOVING if changed else RESTING
+            captioned = time.monotonic() - said > CAPTION
+            # Any event: a part of the window may have come into sight. With each caption: a report
+            # doesn't tell all changes, such as a further part of a batch.
+            if changed or captioned or any(event.type != pygame.NOEVENT for event in events):
+                seen = picture
+                pixels = viewer.renderer.read_color8(BACKGROUND)
+                image = pygame.image.frombuffer(pixels.tobytes(), (width, height), "RGB")
+                window.blit(image, (0, 0))
+                pygame.display.flip()
+            if captioned:
                 said = time.monotonic()
                 pygame.display.set_caption(f"ROSplat: {figures}")
-            time.sleep(0.002)
     finally:
         pygame.display.quit()
     if figures:

@@ -48,9 +48,10 @@ def described(splats: int, report: dict[str, Any]) -> str:
     detail = f" to {report['error']:.2g} px" if report["error"] else ""
     if report["detail_error"]:
         detail += f" ({report['detail_error']})"
+    frame = report["paint_time"] or report["draw_time"]  # this only shows what a painter painted
     return (
         f"{splats:,} splats, {report['splats']:,} in view{detail} | {order} | "
-        f"frame {report['draw_time'] * 1e3:.1f} ms | order age {report['order_age'] * 1e3:.0f} ms"
+        f"frame {frame * 1e3:.1f} ms | order age {report['order_age'] * 1e3:.0f} ms"
     )
 
 
