@@ -171,3 +171,9 @@ def test_a_map_far_from_its_origin_is_as_sharp(renderer: CpuRenderer) -> None:
     insert_all(renderer, replace(cloud(), origin=offset))
     far = draw(renderer, replace(CAMERAS["outside"], world_to_camera=shifted))["colour"]
     assert decibels(far, near) >= 80
+
+
+@pytest.mark.parametrize("threads", [-1, 10**6])
+def test_a_number_of_threads_that_can_t_be_is_refused(threads: int) -> None:
+    with pytest.raises(ValueError, match=f"^threads is {threads}, expected 0 to 1024$"):
+        CpuRenderer(threads=threads)

@@ -179,6 +179,7 @@ PUBLIC = ("rosplat_core", "rosplat_sorter", "rosplat_tools", "rviz_gaussian_plug
 def test_a_public_interface_has_what_it_names(package: str) -> None:
     module = importlib.import_module(package)
     assert module.__all__ == sorted(module.__all__)
+    assert set(module.__all__) <= set(dir(module))  # whose names are loaded at first use, too
     for name in module.__all__:
         assert getattr(module, name).__doc__
     assert not hasattr(module, "anything_else")

@@ -148,6 +148,8 @@ def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
         write_text(Path(path), json.dumps(entries, indent=1) + "\n")
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}") from error
+    except ValueError as error:  # no name of a file
+        raise SceneError(f"{path}: {error}") from error
 
 
 def load_trajectory(path: str | Path, camera: Camera) -> list[Camera]:
@@ -218,7 +220,10 @@ def orbit(
 
     width, height: of the pictures [px]. fov: the smaller angle of view [rad]. elevation: above the
     horizon [rad]. azimuth: where the circle begins [rad]. up (3,): the scene's vertical.
+    Raises ValueError for a fov that isn't between 0 and pi.
     """
+    if not 0 < fov < math.pi:
+        raise ValueError(f"fov is {fov}, expected 0 < fov < pi")
     lower, upper = np.asarray(bounds, np.float64)
     target = (lower + upper) / 2
     radius = max(float(np.linalg.norm(upper - lower)) / 2, 1e-6)

@@ -38,6 +38,7 @@ def psnr_of(square: float) -> float:
     return -10 * math.log10(max(square, 10 ** (-MOST_PSNR / 10)))
 
 
+MOST_THREADS = 1024
 BATCH_BYTES = 8_000_000  # as in publishers' batches
 MAP = "map"
 
@@ -55,8 +56,11 @@ class CpuRenderer(_core.CpuRenderer):
         instructions: _core.Instructions = Instructions.BEST,
     ) -> None:
         """threads: how many draw, 0 for as many as the machine runs at once. instructions: vector
-        instructions of the processor to draw with, by default the best that it has.
+        instructions of the processor to draw with, by default the best that it has. Raises
+        ValueError for threads that are not 0 to 1024.
         """
+        if not 0 <= threads <= MOST_THREADS:
+            raise ValueError(f"threads is {threads}, expected 0 to {MOST_THREADS}")
         super().__init__(threads, instructions)
         self._drawing = Lock()
         if splats is not None:

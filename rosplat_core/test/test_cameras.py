@@ -1,6 +1,7 @@
 """Cameras: read and written whole, refused by name, and put where they see the scene."""
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -198,3 +199,14 @@ def test_a_trajectory_that_is_none(tmp_path: Path, text: str, reason: str) -> No
         load_trajectory(path, camera())
     with pytest.raises(SceneError, match=r"none\.txt: No such file"):
         load_trajectory(tmp_path / "none.txt", camera())
+
+
+@pytest.mark.parametrize("fov", [0.0, -0.9, math.pi, math.nan])
+def test_an_angle_of_view_that_can_t_be_is_named(fov: float) -> None:
+    with pytest.raises(ValueError, match=r"^fov is \S+, expected 0 < fov < pi$"):
+        orbit([(0, 0, 0), (1, 1, 1)], 1, fov=fov)
+
+
+def test_a_path_that_can_t_be_is_named() -> None:
+    with pytest.raises(SceneError, match="embedded null"):
+        save_cameras("a\0", [camera()])

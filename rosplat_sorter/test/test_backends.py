@@ -376,3 +376,8 @@ def test_native_refuses_arrays_of_another_kind(make_camera):
 
 def no_room(count):
     raise MemoryError("enough")
+
+
+def test_a_backend_of_another_name_is_refused():
+    with pytest.raises(ValueError, match="'nope', expected one of cupy, torch, native, numpy"):
+        backends.open_backend("nope")

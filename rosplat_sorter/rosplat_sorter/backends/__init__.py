@@ -87,8 +87,10 @@ def open_backend(name: str, threads: int = 0, gpu_only: bool = False) -> Backend
     """Opens a backend by its name in BACKENDS. Raises Unavailable where it can't run.
 
     threads: for backends on the CPU, 0 for as many as there are. gpu_only: raises Unavailable where
-    it would run on the CPU.
+    it would run on the CPU. Raises ValueError for another name.
     """
+    if name not in BACKENDS:
+        raise ValueError(f"backend is '{name}', expected one of {', '.join(BACKENDS)}")
     entry = BACKENDS[name]
     try:
         module = importlib.import_module(f"{__name__}.{entry.module}")
