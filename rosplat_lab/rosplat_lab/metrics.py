@@ -15,6 +15,7 @@ from rosplat_core.rendering import psnr_of
 
 Image = NDArray[np.floating[Any]]
 Pixels = NDArray[np.float64]
+LEAST_SIDE = 11  # of pictures that SSIM compares [px]
 
 
 def compare(test: Image, reference: Image) -> dict[str, float]:

@@ -7,8 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
+from rosplat_core.cameras import Camera
 from rosplat_core.rendering import MOST_PSNR
-from rosplat_lab.render.command import write_picture, write_report
+from rosplat_core.splats import SceneError
+from rosplat_lab.render.command import check, write_picture, write_report
 
 
 def test_a_report_is_json_for_whoever_reads_it(
@@ -36,3 +38,17 @@ def test_a_picture_is_written_whole_or_not_at_all(tmp_path: Path, form: str) -> 
     np.testing.assert_allclose(read, color[..., : read.shape[2]], atol=1 / 255)
     with pytest.raises(OSError, match=f"none/3.{form[:3]}'"):
         write_picture(tmp_path / "none" / "3", color, form)
+
+
+def test_a_picture_that_is_too_small_to_compare_is_refused_before_drawing(tmp_path: Path) -> None:
+    cameras = [
+        Camera(height, 16, height, 20.0, 20.0, 8.0, height / 2, np.eye(4), image=f"{height}.png")
+        for height in (11, 10)
+    ]
+    for camera in cameras:
+        cv2.imwrite(str(tmp_path / f"{camera.height}.png"), np.zeros((camera.height, 16), np.uint8))
+    check(tmp_path / "cameras.json", cameras[:1])
+    with pytest.raises(
+        SceneError, match=r"camera 1: 10\.png is 16x10, expected sides of at least 11"
+    ):
+        check(tmp_path / "cameras.json", cameras)

@@ -30,7 +30,7 @@ from rosplat_core.scenes import NAMES, check_scene
 from rosplat_core.splats import SceneError
 from rosplat_lab.arguments import make_folder
 from rosplat_lab.machine import commit, machine
-from rosplat_lab.metrics import compare
+from rosplat_lab.metrics import LEAST_SIDE, compare
 from rosplat_lab.programs import ASK_AGAIN, Programs
 from rosplat_msgs.srv import RenderView
 from rosplat_sorter.backends import BACKENDS
@@ -179,6 +179,11 @@ def check(path: Path, cameras: Sequence[Camera]) -> None:
                 raise SceneError(f"{where}: {error}") from error
             if (width, height) != (camera.width, camera.height):
                 raise SceneError(f"{where}: {camera.image} is {width}x{height}, expected {size}")
+            if min(width, height) < LEAST_SIDE:
+                raise SceneError(
+                    f"{where}: {camera.image} is {size}, expected sides of at least {LEAST_SIDE} "
+                    "to compare"
+                )
 
 
 def read_picture(path: Path) -> NDArray[np.float64]:
