@@ -13,6 +13,7 @@ from rclpy.node import Node
 
 from rosplat_core import formats
 from rosplat_core.log_text import shown
+from rosplat_core.program.output import told
 from rosplat_core.program.progress import bar
 from rosplat_core.scenes import NAMES, is_generated, load_scene_into, vertical
 from rosplat_core.splats import PackedSplats, SceneError
@@ -171,12 +172,13 @@ class PlyPublisher(Node):
             if Path(request.path).exists() and not request.overwrite:
                 raise SceneError(f"{request.path}: exists already; set overwrite to replace it")
             _, splats = self._map.snapshot()
+            Path(request.path).parent.mkdir(exist_ok=True)
             formats.save(request.path, splats, self._up)
             response.splats = len(splats)
             response.message = f"{request.path}: {len(splats):,} splats"
             response.success = True
         except Exception as error:  # no request may end the node
-            response.message = str(error) or "not enough memory"
+            response.message = told(error)
         return response
 
 

@@ -143,15 +143,18 @@ def test_walls_are_where_they_are(start: Start, node: Node, listener: Any, tmp_p
     assert answer.success, answer.message
     assert f"{message.info.width} x {message.info.height} cells" in answer.message
     assert (tmp_path / "flat.pgm").stat().st_size > message.info.width * message.info.height
+    answer = listener.call(SaveMap, "occupancy/save", path=str(tmp_path / "new" / "flat.yaml"))
+    assert answer.success, answer.message  # a new folder
     for path, why in (
         (tmp_path / "flat.yaml", "exists already"),
         (tmp_path / "other.png", "ends in .yaml"),
-        (tmp_path / "none" / "flat.yaml", "No such file"),
+        (tmp_path / "no" / "ne" / "flat.yaml", f"{tmp_path}/no/ne: No such file"),
         (tmp_path.parent / "flat.yaml", "save_root"),
     ):
         answer = listener.call(SaveMap, "occupancy/save", path=str(path))
         assert not answer.success
         assert why in answer.message
+        assert "Errno" not in answer.message
     ended(publisher)
     ended(obstacles)
 

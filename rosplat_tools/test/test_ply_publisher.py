@@ -97,7 +97,10 @@ def test_scenes_are_loaded_and_saved_while_it_runs(
     assert "5,000 splats" in answer.message
     listener.wait_for(5000)
 
-    copy = tmp_path / "copy.ply"
+    copy = tmp_path / "new" / "copy.ply"
+    deeper = tmp_path / "no" / "ne" / "copy.ply"
+    answer = listener.call(SaveMap, "ply_publisher/save", path=str(deeper))
+    assert answer.message == f"{deeper.parent}: No such file or directory"
     answer = listener.call(SaveMap, "ply_publisher/save", path=str(copy))
     assert (answer.success, answer.splats) == (True, 5000)
     saved, scene = formats.load(copy), in_slot_order(ply)
@@ -131,7 +134,7 @@ def test_only_folders_that_are_allowed_are_read_and_written(
     copy = allowed / "copy.ply"
     answer = listener.call(SaveMap, "ply_publisher/save", path=str(copy))
     assert not answer.success
-    assert "save_root" in answer.message
+    assert "set save_root" in answer.message
     assert not copy.exists()
 
 

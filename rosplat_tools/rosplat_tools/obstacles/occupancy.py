@@ -35,6 +35,7 @@ from rosplat_core.occupancy import (
     towards,
     voxels_across,
 )
+from rosplat_core.program.output import told
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.splats import SceneError
 from rosplat_msgs.srv import SaveMap
@@ -275,6 +276,7 @@ class Occupancy(Node):
             if problem := self._find_problem():
                 raise SceneError(problem)
             grid = self._grid()
+            path.parent.mkdir(exist_ok=True)
             save_grid(path, grid)
             rows, columns = grid.cells.shape
             occupied, free = ((grid.cells == value).sum() for value in (OCCUPIED, FREE))
@@ -284,7 +286,7 @@ class Occupancy(Node):
             response.splats = self._voxels.splats
             response.success = True
         except Exception as error:  # no request may end the node
-            response.message = shown(str(error) or "not enough memory", 500)
+            response.message = shown(told(error), 500)
         return response
 
 

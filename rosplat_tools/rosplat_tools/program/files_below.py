@@ -14,5 +14,7 @@ def check_below(parameter: str, root: str, path: str) -> None:
             return
     except (OSError, RuntimeError, ValueError):  # a circle of links, or no name of a file
         pass
-    why = f"not below {root}, its" if root else "none is allowed by its"
-    raise SceneError(f"{path}: refused: {why} parameter {parameter}")
+    why = f"not below {root}, its parameter {parameter}"
+    if not root:
+        why = f"none is allowed; set {parameter}, the parameter, to a folder above it"
+    raise SceneError(f"{path}: refused: {why}")
