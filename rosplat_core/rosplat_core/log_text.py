@@ -10,5 +10,10 @@ def shown(text: object, most: int = 100) -> str:
     return line + "…" * (len(whole) > most)
 
 
+def counted(number: int, one: str, more: str) -> str:
+    """A number and its noun: 1 batch, 2 batches."""
+    return f"{number:,} {one if number == 1 else more}"
+
+
 def _escaped(character: str) -> str:
     return character.encode("unicode_escape").decode()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.log_text import shown
+from rosplat_core.log_text import counted, shown
 from rosplat_core.maps import REPLACE, Arrival, BatchError
 from rosplat_core.posed_camera import CameraError, PosedCamera
 from rosplat_core.view import SortView
@@ -312,16 +312,17 @@ class Worker:
         if report["missed"]:
             self._host.warn(
                 "gap",
-                f"gaussians: missed {report['missed']} batches before {batch.revision} of map "
-                f"'{shown(batch.map_id)}'; the map may be incomplete "
+                f"gaussians: missed {counted(report['missed'], 'batch', 'batches')} before "
+                f"{batch.revision} of map '{shown(batch.map_id)}'; the map may be incomplete "
                 f"({splats.missed} missed so far)",
             )
         if report["dropped"]:
             self._dropped_splats += report["dropped"]
             self._host.warn(
                 "splats",
-                f"gaussians: {report['dropped']} splats of batch {batch.revision} dropped: a value "
-                "is not finite, or a quaternion is zero, or a scale negative "
+                f"gaussians: {counted(report['dropped'], 'splat', 'splats')} of batch "
+                f"{batch.revision} dropped: a value is not finite, or a quaternion is "
+                "zero, or a scale negative "
                 f"({self._dropped_splats} dropped so far)",
             )
         self._due.update(dict.fromkeys(self._viewers))

@@ -10,7 +10,7 @@ from typing import Any
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from rosplat_core.log_text import shown
+from rosplat_core.log_text import counted, shown
 from rosplat_core.maps import Arrival
 from rosplat_msgs.msg import GaussianArray
 from rosplat_sorter.batches import apply, array_bytes
@@ -88,7 +88,7 @@ class MapSubscriber:
             self.applied(batch)
             if dropped:
                 self._dropped += dropped
-                self._warn(f"{dropped} splats with invalid values are left out")
+                self._warn(f"{counted(dropped, 'splat', 'splats')} with invalid values left out")
 
     def problem(self) -> str:
         """Why this copy of the map isn't whole; empty if it is.
@@ -101,8 +101,11 @@ class MapSubscriber:
             return f"{self.topic}: no map has come yet"
         early = not self._announced and time.monotonic() - self._began < PATIENCE
         if books.missed or books.pulled or early:
-            missing = f"{books.missed} batches are missing" if books.missed else "more is to come"
-            return f"{self.topic}: the map isn't complete: {books.splats:,} splats, {missing}"
+            missing = "more is to come"
+            if books.missed:
+                missing = f"{counted(books.missed, 'batch is', 'batches are')} missing"
+            splats = counted(books.splats, "splat", "splats")
+            return f"{self.topic}: the map isn't complete: {splats}, {missing}"
         return ""
 
     def figures(self) -> dict[str, object]:

@@ -130,7 +130,7 @@ def test_what_a_bag_lacks_is_said_in_a_line(
         capsys, "--bag", two, *pose, "--image", "/other/image_raw", "--scene", "procedural:100"
     )
     assert code == 1
-    assert "left out 1 pictures: 1.000 s before all poses that are known" in error
+    assert "left out 1 picture: 1.000 s before all poses that are known" in error
     assert "no picture could be compared" in error
 
 
@@ -143,7 +143,7 @@ def test_a_map_that_lacks_a_part_is_refused(
     record(tmp_path / "late", [*later, *flight()])
     code, lines, error = compare(capsys, "--bag", tmp_path / "late", "--pose", "/cam/pose")
     assert (code, lines, error.count("\n")) == (1, [], 1)
-    assert "1 batches of the map are missing: record it from its beginning" in error
+    assert "the map lacks 1 batch: record it from its beginning" in error
     record(tmp_path / "ended", [first, *later[:-1], *flight()])
     code, _, error = compare(capsys, "--bag", tmp_path / "ended", "--pose", "/cam/pose")
     assert (code, error.count("\n")) == (0, 1)

@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -245,6 +246,16 @@ def test_what_is_incomplete_is_not_published_and_recovers(
     raw.publish(batch(5, GaussianArray.REPLACE, wall(1.05), 0))
     listener.wait(lambda: grid.at(1.05, 0) == 100)
     ended(process)
+
+
+@pytest.mark.parametrize(
+    ("missed", "told"), [(1, "1 batch is missing"), (2, "2 batches are missing")]
+)
+def test_a_map_says_how_many_batches_it_lacks(missed: int, told: str) -> None:
+    books = SimpleNamespace(missed=missed, pulled=False, splats=1)
+    held: Any = SimpleNamespace(books=books, topic="gaussians", edits=1, _announced=True)
+    problem = map_subscriber.MapSubscriber.problem(held)
+    assert problem == f"gaussians: the map isn't complete: 1 splat, {told}"
 
 
 @contextmanager

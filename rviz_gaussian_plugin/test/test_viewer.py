@@ -419,7 +419,7 @@ def test_a_closed_window_leaves_its_last_figures(
             pygame.event.post(pygame.event.Event(pygame.QUIT))
 
     windowed(close)
-    assert "1 splats, 1 in view" in capsys.readouterr().out
+    assert "1 splat, 1 in view" in capsys.readouterr().out
 
 
 def test_a_window_at_rest_is_drawn_anew_for_what_changes_it(

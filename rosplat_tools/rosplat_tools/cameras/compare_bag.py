@@ -14,7 +14,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from tqdm import tqdm
 
 from rosplat_core.lenses import Warp
-from rosplat_core.log_text import shown
+from rosplat_core.log_text import counted, shown
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
 from rosplat_core.rendering import CpuRenderer
@@ -129,8 +129,8 @@ class Bag:
         books, where = self.renderer.map, f"{shown(self.path)}: {self._map}"
         if books.missed:
             raise SceneError(
-                f"{where}: {books.missed} batches of the map are missing: record it from its "
-                f"beginning or with {self._map}/repeat, or give --scene"
+                f"{where}: the map lacks {counted(books.missed, 'batch', 'batches')}: record it "
+                f"from its beginning or with {self._map}/repeat, or give --scene"
             )
         if not self._announced:
             print(
@@ -211,11 +211,15 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     for reason, count in left_out.items():
         first = ", the first" if count > 1 else ""
-        print(f"compare: left out {count} pictures{first}: {reason}", file=sys.stderr)
+        print(
+            f"compare: left out {counted(count, 'picture', 'pictures')}{first}: {reason}",
+            file=sys.stderr,
+        )
     if not figures:
         print(f"compare: {shown(options.bag)}: no picture could be compared", file=sys.stderr)
         return 1
     say("\n".join(table(figures)))
     psnr = np.array([each.psnr for each in figures])
-    say(f"{len(psnr)} pictures: PSNR {psnr.mean():.2f} dB in the mean, {psnr.min():.2f} at worst")
+    pictures = counted(len(psnr), "picture", "pictures")
+    say(f"{pictures}: PSNR {psnr.mean():.2f} dB in the mean, {psnr.min():.2f} at worst")
     return 0

@@ -23,7 +23,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
-from rosplat_core.log_text import shown
+from rosplat_core.log_text import counted, shown
 from rosplat_core.occupancy import (
     FREE,
     OCCUPIED,
@@ -168,7 +168,7 @@ class Occupancy(Node):
             output.update(header, version)
         if left_out := self._voxels.too_large + self._voxels.beyond:
             self._left_out.say(
-                f"left out: {self._voxels.beyond:,} splats beyond `size`, "
+                f"left out: {counted(self._voxels.beyond, 'splat', 'splats')} beyond `size`, "
                 f"{left_out - self._voxels.beyond:,} that are hundreds of voxels wide"
             )
         self._problem.say(self._not_free)

@@ -16,7 +16,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
-from rosplat_core.log_text import shown
+from rosplat_core.log_text import counted, shown
 from rosplat_core.maps import Arrival
 from rosplat_core.rendering import OrderSource, RenderSettings
 from rosplat_core.splats import SceneError
@@ -50,7 +50,7 @@ def described(splats: int, report: dict[str, Any]) -> str:
         detail += f" ({report['detail_error']})"
     frame = report["paint_time"] or report["draw_time"]  # this only shows what a painter painted
     return (
-        f"{splats:,} splats, {report['splats']:,} in view{detail} | {order} | "
+        f"{counted(splats, 'splat', 'splats')}, {report['splats']:,} in view{detail} | {order} | "
         f"frame {frame * 1e3:.1f} ms | order age {report['order_age'] * 1e3:.0f} ms"
     )
 
@@ -161,8 +161,8 @@ class Viewer(Node):
         report = apply(self.renderer, message, arrival)
         if report["missed"] or report["dropped"]:
             self.get_logger().warning(
-                f"{self._map.topic}: {report['missed']} batches missing, "
-                f"{report['dropped']} splats with invalid values left out",
+                f"{self._map.topic}: {counted(report['missed'], 'batch', 'batches')} missing, "
+                f"{counted(report['dropped'], 'splat', 'splats')} with invalid values left out",
                 throttle_duration_sec=5.0,
             )
         self.frame_id = message.header.frame_id
