@@ -46,7 +46,10 @@ _NO_SLOTS: NDArray[np.uint32] = np.zeros(0, np.uint32)
 
 
 class CpuRenderer(_core.CpuRenderer):
-    """Holds a map in memory and draws pictures of it. Threads that render wait for one another."""
+    """Holds a map in memory and draws pictures of it.
+
+    Threads that draw wait for one another. Whatever else is called needs the renderer alone.
+    """
 
     def __init__(
         self,
@@ -68,9 +71,13 @@ class CpuRenderer(_core.CpuRenderer):
 
     def render(self, camera: Camera) -> NDArray[np.float32]:
         """What a camera sees: premultiplied RGBA over nothing, float32 (height, width, 4)."""
-        with self._drawing:
-            colour: NDArray[np.float32] = self.draw(posed(camera))["colour"]
+        colour: NDArray[np.float32] = self.draw(posed(camera))["colour"]
         return colour
+
+    def draw(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
+        """As _core.CpuRenderer.draw()."""
+        with self._drawing:
+            return super().draw(*args, **kwargs)
 
 
 def render(splats: Splats, camera: Camera) -> NDArray[np.float32]:

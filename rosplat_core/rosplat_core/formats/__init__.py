@@ -203,7 +203,8 @@ def _warn_of_far_splats(path: Path, writer: ModuleType, splats: Splats) -> None:
     """Warns where 32-bit positions are coarser than the median splat."""
     if not splats.origin.any() or not len(splats):
         return
-    step = float(np.spacing(np.float32(np.abs(splats.origin).max())))
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32
+        step = float(np.spacing(np.float32(np.abs(splats.origin).max())))
     if step > np.median(splats.scales.max(axis=1)):
         _log.warning(
             "%s: %s keeps no origin, and so far from 0 its positions are coarser than the splats: "

@@ -100,12 +100,14 @@ class Asker:
             self._sequence += 1
             self._questions.publish(ViewCamera(view_id=kind, width=count, sequence=self._sequence))
 
+        first = self._sequence + 1
         question()
         self._programs.wait(
-            lambda: self._sequence in self._times, f"no answer to {kind} of {count}",
+            lambda: any(number >= first for number in self._times),
+            f"no answer to {kind} of {count}",
             patience=PATIENCE, again=question, every=ACQUAINTANCE,
         )  # fmt: skip
-        return self._times.pop(self._sequence)
+        return self._times.pop(min(number for number in self._times if number >= first))
 
     def _receive(self, read: Callable[[Any], object], answer: Any) -> None:
         read(answer)

@@ -216,7 +216,8 @@ def _check_report(report: Path, options: argparse.Namespace) -> None:
         raise SceneError(f"{report}: is no file that could be replaced")
     bag = str(options.trajectory or "").partition(":")[0]  # of BAG:TOPIC
     for file in (options.input, options.output, options.cameras, options.trajectory, bag):
-        if file and _same(report, Path(file)):
+        inside = report.exists() and Path(file or report).resolve() in report.resolve().parents
+        if file and (inside or _same(report, Path(file))):
             raise SceneError(f"{report}: is an input, or the output")
     if report.exists() and not options.overwrite:
         raise SceneError(f"{report}: exists already (--overwrite replaces it)")

@@ -16,5 +16,5 @@ def check_below(parameter: str, root: str, path: str) -> None:
         pass
     why = f"not below {root}, its parameter {parameter}"
     if not root:
-        why = f"none is allowed; set {parameter}, the parameter, to a folder above it"
+        why = f"none is allowed; set the parameter {parameter} to a folder above it"
     raise SceneError(f"{path}: refused: {why}")

@@ -133,7 +133,8 @@ def show_window(viewer: Viewer) -> None:
             figures = described(viewer.renderer.splats, report)
             picture = {name: value for name, value in report.items() if name not in AGES}
             changed = moved or picture != seen
-            pause = MOVING if changed else RESTING
+            waits = report["splats"] and not report["order_fresh"]  # a better picture is on its way
+            pause = MOVING if changed or waits else RESTING
             captioned = time.monotonic() - said > CAPTION
             # Any event: a part of the window may have come into sight. With each caption: a report
             # doesn't tell all changes, such as a further part of a batch.

@@ -257,7 +257,8 @@ void GaussianClient::forget(const std::string& view_id) {
 }
 
 void GaussianClient::watch() {
-  if (now() - watched_ < kWatchPeriod || !rclcpp::ok()) return;
+  if (now() - watched_ < kWatchPeriod) return;
+  if (!node_->get_node_base_interface()->get_context()->is_valid()) return;  // ROS has ended
   watched_ = now();
   try {
     sidecar_->tell();

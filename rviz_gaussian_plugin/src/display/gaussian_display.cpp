@@ -140,6 +140,10 @@ void GaussianDisplay::subscribe() {
   unsubscribe();
   if (!isEnabled()) return;
   const std::string topic = topic_->getTopicStd();
+  if (topic.empty() && scene_waits_ && !scene_file_->getStdString().empty()) {
+    topic_->setStdString(scene_topic_);  // subscribes
+    return;
+  }
   if (topic.empty()) {
     showStatus({{StatusProperty::Warn, "Topic",
                  "No topic set: choose one of type rosplat_msgs/GaussianArray"}});

@@ -131,8 +131,15 @@ void MapSelection::clear() {
 
 bool MapSelection::refresh() {
   const MapState& map = cloud_.scene().drawnMap();
-  if (!slots_.empty() && map.begun != read_begun_) {  // its slots are other splats
-    clear();
+  if (!slots_.empty() && map.begun != read_begun_) {  // its slots may be other splats
+    const bool same_map = map.id == read_map_;
+    if (same_map && !map.complete()) return false;
+    const std::vector<SplatValues> before = splats_;
+    read();
+    const bool same = std::equal(
+        before.begin(), before.end(), splats_.begin(), splats_.end(),
+        [](const auto& a, const auto& b) { return a.slot == b.slot && a.position == b.position; });
+    if (!same_map || !same) clear();
     return true;
   }
   const bool changed = map.id != read_map_ || map.revision != read_revision_;

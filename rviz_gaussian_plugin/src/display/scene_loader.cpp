@@ -1,12 +1,9 @@
 #include "scene_loader.hpp"
 
-#include <sys/prctl.h>
-
 #include <QStringList>
 #include <QUuid>
 #include <algorithm>
 #include <ament_index_cpp/get_package_prefix.hpp>
-#include <csignal>
 #include <exception>
 #include <set>
 
@@ -23,19 +20,6 @@ constexpr int kGrace = 3000;      // what a publisher gets to end by itself [ms]
 constexpr auto kDiscovery = 5s;   // until nodes that start together know each other
 constexpr auto kMeeting = 500ms;  // until a new client knows its service
 constexpr auto kLookAgain = 100ms;
-
-// A program that ends with this one, even if this one crashes.
-class Child : public QProcess {
-#if QT_VERSION >= QT_VERSION_CHECK(6, 0, 0)
- public:
-  Child() { setChildProcessModifier(endWithParent); }
-
- private:
-#else
-  void setupChildProcess() override { endWithParent(); }
-#endif
-  static void endWithParent() { prctl(PR_SET_PDEATHSIG, SIGTERM); }
-};
 
 // Resolved topics of the publishers that displays of this process have started.
 std::multiset<std::string>& startedTopics() {
@@ -99,7 +83,8 @@ void SceneLoader::lookForPublisher() {
   if (Clock::now() < choice_ends_) return;
   client_.reset();
   endChoice();
-  if (!process_ && startedTopics().count(resolvedTopic())) {  // another display's, soon ready
+  const bool runs = process_ && process_->state() != QProcess::NotRunning;
+  if (!runs && startedTopics().count(resolvedTopic())) {  // another display's, soon ready
     choice_ends_ = Clock::now() + kMeeting;
     choice_.start(kLookAgain);
   } else if (process_ || publishers.empty()) {  // one started here may not have a service yet
@@ -136,7 +121,7 @@ void SceneLoader::startPublisher(const std::string& path) {
   try {
     const std::string program =
         ament_index_cpp::get_package_prefix("rosplat_tools") + "/lib/rosplat_tools/ply_publisher";
-    process_ = std::make_unique<Child>();
+    process_ = std::make_unique<QProcess>();
     const auto started = startedTopics().insert(resolvedTopic());
     QObject::connect(process_.get(), &QProcess::stateChanged, [started](QProcess::ProcessState to) {
       if (to == QProcess::NotRunning) startedTopics().erase(started);
@@ -145,10 +130,10 @@ void SceneLoader::startPublisher(const std::string& path) {
     // A node name of its own, or other displays' publishers would have the same service; and the
     // topic as rviz2 resolves it, which may have a namespace and remappings.
     const QString id = QUuid::createUuid().toString(QUuid::Id128).left(8);
-    process_->start(
-        QString::fromStdString(program),
-        {"--ros-args", "-p", "path:=" + quoted(path), "-r", "__node:=ply_publisher_" + id, "-r",
-         QString::fromStdString("gaussians:=" + resolvedTopic())});
+    process_->start("setpriv",  // the publisher ends with rviz2, even if that crashes
+                    {"--pdeathsig", "TERM", QString::fromStdString(program), "--ros-args", "-p",
+                     "path:=" + quoted(path), "-r", "__node:=ply_publisher_" + id, "-r",
+                     QString::fromStdString("gaussians:=" + resolvedTopic())});
     status_ = "loading " + path;
   } catch (const ament_index_cpp::PackageNotFoundError&) {
     report("rosplat_tools is not installed: nothing can publish " + path, true);
