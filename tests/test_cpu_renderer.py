@@ -15,7 +15,14 @@ from rosplat_core import rendering
 from rosplat_core.cameras import load_cameras
 from rosplat_core.formats import load
 from rosplat_core.generated import generate
-from rosplat_core.rendering import Antialiasing, CpuRenderer, Instructions, insert_all, posed
+from rosplat_core.rendering import (
+    Antialiasing,
+    CpuRenderer,
+    Instructions,
+    insert_all,
+    posed,
+    render,
+)
 from rosplat_lab import reference
 
 INSTRUCTIONS = [Instructions.PLAIN, Instructions.AVX2, Instructions.AVX512]
@@ -150,6 +157,20 @@ def test_contributions_of_slices_of_depth_add_up() -> None:
     renderer.contribute(posed(camera), found)
     alpha = draw(renderer, camera)["colour"][..., 3].sum()
     assert 0.99 * alpha < found.weight.sum() <= 1.0001 * alpha
+
+
+def test_a_picture_that_is_kept_stays_as_it_is() -> None:
+    """Others take the memory of pictures that were dropped."""
+    renderer = CpuRenderer(cloud())
+    cameras = list(CAMERAS.values())[:2]
+    expected = [render(cloud(), camera) for camera in cameras]
+    kept = [renderer.render(cameras[0])]
+    for number in (1, 0, 1, 1, 0):
+        dropped = renderer.render(cameras[number])
+        np.testing.assert_array_equal(dropped, expected[number])
+        kept.append(renderer.render(cameras[0]))
+    for picture in kept:
+        np.testing.assert_array_equal(picture, expected[0])
 
 
 def test_threads_that_share_a_renderer_wait_for_one_another() -> None:

@@ -4,6 +4,7 @@
 #include <memory>
 #include <numeric>
 #include <optional>
+#include <utility>
 
 #include "python/module.hpp"
 #include "rosplat_core/levels/detail.hpp"
@@ -30,8 +31,31 @@ struct CpuRenderer {
   DetailControl detail;
   CpuRasterizer rasterizer;
   SplatPicture picture;
+  // A picture that Python has dropped: a later one takes its memory, since the system takes as long
+  // to give new memory as a small map takes to be drawn.
+  std::shared_ptr<std::vector<float>> spare = std::make_shared<std::vector<float>>();
   RenderSettings settings;
 };
+
+// The picture's colours for Python: a copy, or without one where a picture was dropped.
+Array<float> lendColour(CpuRenderer& renderer) {
+  struct Lent {
+    std::vector<float> colour;
+    std::shared_ptr<std::vector<float>> spare;
+  };
+  SplatPicture& picture = renderer.picture;
+  auto* const lent = new Lent{{}, renderer.spare};
+  const py::capsule capsule(lent, [](void* p) {
+    const std::unique_ptr<Lent> dropped(static_cast<Lent*>(p));
+    dropped->spare->swap(dropped->colour);
+  });
+  if (renderer.spare->size() == picture.colour.size()) {
+    lent->colour = std::exchange(picture.colour, std::exchange(*renderer.spare, {}));
+  } else {
+    lent->colour = picture.colour;
+  }
+  return Array<float>({picture.height, picture.width, 4}, lent->colour.data(), capsule);
+}
 
 BatchReport take(CpuRenderer& renderer, const GaussianBatch& batch) {
   BatchReport report;
@@ -103,7 +127,7 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
                  "error"_a = picture.layers.front().error,
                  "detail_error"_a = request.layers.front().levels ? renderer.detail.problem() : "",
                  "profile"_a = picture.profile, "bytes"_a = renderer.rasterizer.bytes());
-  drawn["colour"] = toArray(picture.colour, {picture.height, picture.width, 4});
+  drawn["colour"] = lendColour(renderer);
   if (!picture.depth.empty()) {
     drawn["depth"] = toArray(picture.depth, {picture.height, picture.width, 1});
   }
