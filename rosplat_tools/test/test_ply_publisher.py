@@ -134,7 +134,7 @@ def test_only_folders_that_are_allowed_are_read_and_written(
     copy = allowed / "copy.ply"
     answer = listener.call(SaveMap, "ply_publisher/save", path=str(copy))
     assert not answer.success
-    assert "set save_root" in answer.message
+    assert "set the parameter save_root" in answer.message
     assert not copy.exists()
 
 
