@@ -392,6 +392,7 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
   for (std::size_t first_of = 0; first_of < count; first_of += kLanes) {
     const int lanes = int(least(std::size_t(kLanes), count - first_of));
     const Places places(places_of + first_of, lanes);
+    // Fetches the next vector's appearances: rows far apart, which no processor foresees.
     for (std::size_t i = first_of + kLanes; i < least(first_of + 2 * kLanes, count); ++i) {
       const std::uint32_t* const next = page.appearances + places_of[i] * page.appearance_words;
       __builtin_prefetch(next);

@@ -78,7 +78,7 @@ CHARTS = (
         parameter("view"),
     ),
     Chart(
-        "frame-time", "frame", "frame", "Frame, finished by the GPU", "time [ms]",
+        "frame-time", "frame", "frame", "Frame, until it is finished", "time [ms]",
         parameter("variant", "order"), parameter("view", "picture"),
     ),
     Chart(

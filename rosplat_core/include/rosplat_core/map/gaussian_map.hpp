@@ -83,7 +83,7 @@ struct MapState {
   // Grows when revisions begin again: with another map, or with one that is played again.
   std::uint64_t round = 0;
   std::uint64_t revision = 0;
-  std::uint64_t begun = 0;  // grows with each clear: from then on, slots are other splats
+  std::uint64_t begun = 0;  // grows with each clear: slots may be other splats then
   // Grows with each batch, unlike revision: several pulled batches have the same one.
   std::uint64_t edits = 0;
   std::uint32_t splats = 0;
