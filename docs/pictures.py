@@ -20,7 +20,7 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from rosplat_lab.driven_rviz import DrivenRviz
-from rosplat_tools.program.processes import Processes, quoted
+from rosplat_ros.program.processes import Processes, quoted
 from rviz_gaussian_plugin.offscreen import ensure_display
 
 DOCS = Path(__file__).parent

@@ -17,9 +17,9 @@ from rosplat_core.rendering import posed
 from rosplat_core.splats import Splats
 from rosplat_lab.bench.embedded import NumberedView
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter import batches
+from rosplat_ros import batches
+from rosplat_ros.messages import Slots
 from rosplat_testing import messages
-from rosplat_tools.messages import Slots
 
 Array = NDArray[Any]
 

@@ -51,7 +51,7 @@ beside() {
   set +m
   runs+=($!)
 }
-beside package_tests rviz_gaussian_plugin rosplat_lab rosplat_core rosplat_sorter rosplat_tools
+beside package_tests rviz_gaussian_plugin rosplat_lab rosplat_core rosplat_ros rosplat_sorter rosplat_tools
 if [ -n "$rviz" ]; then beside cross_tests -m rviz "$@"; fi
 failed=0
 cross_tests -m 'not rviz' "$@" || failed=1

@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 
 from rosplat_lab.driven_rviz import DrivenRviz, is_here
+from rosplat_ros.program.processes import Processes
 from rosplat_testing import PATIENCE
-from rosplat_tools.program.processes import Processes
 
 SCREEN = (1000, 800)
 LOOK = 0.03  # between two looks [s]
@@ -222,7 +222,7 @@ class World:
         from tf2_msgs.msg import TFMessage
         from visualization_msgs.msg import Marker
 
-        from rosplat_tools.map_publisher import MapPublisher
+        from rosplat_ros.map_publisher import MapPublisher
 
         self.node = Node("world", namespace=namespace or None)
         self.frame = frame

@@ -40,10 +40,9 @@ from rosplat_lab.bench import scenes
 from rosplat_lab.bench.line import Line, NoLine
 from rosplat_lab.machine import machine
 from rosplat_msgs.srv import RenderView
-from rosplat_sorter.batches import apply
-from rosplat_sorter.camera import numbers
-from rosplat_tools.program.processes import Processes, interrupt_by_signals, node_command
-from rosplat_tools.view_messages import view_camera
+from rosplat_ros.batches import apply
+from rosplat_ros.program.processes import Processes, interrupt_by_signals, node_command
+from rosplat_ros.view_cameras import numbers, view_camera
 
 MOST_SPLATS = 1_500_000
 GROWING = 0.25  # of all the time

@@ -18,12 +18,12 @@ from std_msgs.msg import Header
 from rosplat_core.generated import generate
 from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray
+from rosplat_ros.map_publisher import MapPublisher
+from rosplat_ros.poses import to_pose
+from rosplat_ros.program.running import run, spinning, wait_for_end
 from rosplat_tools.emulation.mapping import Edit, Move, edits
-from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.poses import to_pose
-from rosplat_tools.program.running import run, spinning, wait_for_end
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "rosplat_tools/test"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "rosplat_ros/test"))
 from rosplat_testing.messages import encode, encode_deletion, encode_move
 from rosplat_testing.slot_map import SlotMap, apply
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rosplat_core.maps import Arrival, GaussianMap, PublishedBatch, PublishedMap
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.batches import apply, pose_values
+from rosplat_ros.batches import apply, pose_values
 from rosplat_sorter.map import SplatMap
 from rosplat_testing import messages, slot_map
 

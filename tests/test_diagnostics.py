@@ -12,9 +12,9 @@ from rclpy.executors import SingleThreadedExecutor
 
 from rosplat_core.generated import generate
 from rosplat_msgs.msg import ViewCamera
+from rosplat_ros.map_publisher import MapPublisher
+from rosplat_ros.qos import VIEW
 from rosplat_sorter.node import SorterNode
-from rosplat_sorter.qos import VIEW
-from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.obstacles.occupancy import Occupancy
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -26,21 +26,22 @@ from test_conformance import Display, Publisher, Sorter, Twin
 
 from rosplat_core import _core, depth, formats
 from rosplat_core.maps import Arrival
+from rosplat_core.posed_camera import CameraError
 from rosplat_core.rendering import CpuRenderer, DrawMode, OrderSource, SplatCamera
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
 from rosplat_core.splats import SceneError
 from rosplat_core.view import SortView
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import LoadScene, RenderView, SaveMap
-from rosplat_sorter import camera
+from rosplat_ros import view_cameras
+from rosplat_ros.batches import apply
+from rosplat_ros.map_publisher import as_message
+from rosplat_ros.program.processes import Processes
+from rosplat_ros.qos import MAP, VIEW
+from rosplat_ros.view_cameras import numbers
 from rosplat_sorter.backends import open_backend
-from rosplat_sorter.batches import apply
-from rosplat_sorter.camera import numbers
 from rosplat_sorter.order_slots import OrderReader
-from rosplat_sorter.qos import MAP, VIEW
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
-from rosplat_tools.map_publisher import as_message
-from rosplat_tools.program.processes import Processes
 from rosplat_tools.streaming import detail
 from rviz_gaussian_plugin import _offscreen
 from rviz_gaussian_plugin.offscreen import Renderer
@@ -166,7 +167,7 @@ def receive() -> Claims:
                 sorter.origin, sorter.revision, sorter.missed, sorter.channels,
             )  # fmt: skip
         asked = fuzz.view_camera(rng)
-        with contextlib.suppress(camera.CameraError):
+        with contextlib.suppress(CameraError):
             look(sorter, native, asked)
         with contextlib.suppress(ValueError):  # says what is wrong with the camera
             seen = SplatCamera(*numbers(asked))
@@ -182,7 +183,7 @@ def receive() -> Claims:
 
 def look(sorter: Sorter, native: Any, asked: ViewCamera) -> None:
     """What a view is answered by whoever hears it. Raises CameraError."""
-    eye = camera.decode(asked)
+    eye = view_cameras.decode(asked)
     chunks = detail.Levels(
         np.array([[-5.0, -5, -5], [0, 0, 0]]), np.array([[0.0, 0, 0], [5, 5, 5]]), [(10, 100)] * 2
     )

@@ -24,7 +24,7 @@ from rosplat_core.splats import Splats, concatenate
 from rosplat_core.view import frame_at
 from rosplat_lab import reference
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.batches import pose_values
+from rosplat_ros.batches import pose_values
 
 Array = NDArray[Any]
 

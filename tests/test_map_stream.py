@@ -20,10 +20,10 @@ from rosplat_core.splats import Splats
 from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap
+from rosplat_ros import map_publisher
+from rosplat_ros.map_publisher import MapPublisher
+from rosplat_ros.map_receiver import labelled
 from rosplat_sorter.map import SplatMap
-from rosplat_sorter.map_subscription import labelled
-from rosplat_tools import map_publisher
-from rosplat_tools.map_publisher import MapPublisher
 
 MOST_WAITING = 1 << 26  # of MapPull [bytes]
 BLOCK = GaussianArray.SLOTS_PER_BLOCK

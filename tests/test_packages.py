@@ -142,7 +142,7 @@ def test_a_robot_s_packages_need_nothing_that_draws_or_measures() -> None:
     code = f"import sys, {modules}; print(*sys.modules)"
     imported = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
     loaded = set(imported.stdout.decode().split())
-    assert "rosplat_tools.map_publisher" in loaded
+    assert "rosplat_ros.map_publisher" in loaded
     assert not [name for name in needed | loaded if name.startswith(("rviz", "rosplat_lab"))]
 
 
@@ -172,7 +172,7 @@ def test_a_package_is_fit_for_release(package: str) -> None:
     assert not [key for key in named(package) if key.endswith("-pip")]  # bloom refuses them
 
 
-PUBLIC = ("rosplat_core", "rosplat_sorter", "rosplat_tools", "rviz_gaussian_plugin")
+PUBLIC = ("rosplat_core", "rosplat_ros", "rosplat_sorter", "rosplat_tools", "rviz_gaussian_plugin")
 
 
 @pytest.mark.parametrize("package", PUBLIC)
@@ -200,7 +200,7 @@ def test_the_api_s_page_has_the_public_interface_and_nothing_else() -> None:
 
 def test_readme_and_guides_use_the_public_interface_alone() -> None:
     pages = [ROOT / "README.md", *(ROOT / "docs/guides").glob("*.md")]
-    used = re.compile(r"^(?:from|import) (rosplat_(?:core|sorter|tools)\.\w+)", re.MULTILINE)
+    used = re.compile(r"^(?:from|import) (rosplat_(?:core|ros|sorter|tools)\.\w+)", re.MULTILINE)
     assert not [found for page in pages for found in used.findall(page.read_text())]
     headers = re.compile(r"#include <(rosplat_\S+)>")
     for page in pages:

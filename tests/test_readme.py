@@ -25,9 +25,9 @@ from rosplat_core import Camera, generate, load, look_at, save
 from rosplat_lab.driven_rviz import is_here
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import PullMap, RepeatMap
-from rosplat_sorter import qos
+from rosplat_ros import qos
+from rosplat_ros.view_cameras import view_camera
 from rosplat_testing import PATIENCE, Listener
-from rosplat_tools.view_messages import view_camera
 
 ROOT = Path(__file__).resolve().parents[1]
 README = ROOT / "README.md"
@@ -67,9 +67,9 @@ print(len(publisher), slots[-1], *splats.channels)
 CMAKE = """
 cmake_minimum_required(VERSION 3.16)
 project(slam LANGUAGES CXX)
-find_package(rosplat_tools REQUIRED)
+find_package(rosplat_ros REQUIRED)
 add_executable(slam slam.cpp)
-target_link_libraries(slam rosplat_tools::map_publisher)
+target_link_libraries(slam rosplat_ros::map_publisher)
 """
 
 # A lifecycle node in place of the plain one.

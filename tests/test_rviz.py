@@ -110,7 +110,7 @@ def test_orders_reach_the_display_through_shared_memory(rviz: Rviz, world: World
     import rclpy
 
     from rosplat_msgs.msg import SplatOrder
-    from rosplat_sorter.qos import ORDER
+    from rosplat_ros.qos import ORDER
     from rosplat_sorter.shared_orders import FOLDER
 
     shared: list[str] = []
@@ -159,7 +159,7 @@ def test_garbage_does_not_end_rviz(rviz: Rviz, world: World) -> None:
     import rclpy
 
     from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
-    from rosplat_sorter.qos import MAP, ORDER, VIEW
+    from rosplat_ros.qos import MAP, ORDER, VIEW
 
     garbage = world.node.create_publisher(GaussianArray, "gaussians", MAP)
     orders = world.node.create_publisher(SplatOrder, "gaussians/order", ORDER)

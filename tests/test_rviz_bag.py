@@ -50,7 +50,7 @@ def qos() -> list[str]:
 def record(bag: Path) -> int:
     """A red disc that moves, a blue one later, then only that; returns when it began [ns]."""
     from rosplat_msgs.msg import ViewCamera
-    from rosplat_tools.program.processes import Processes
+    from rosplat_ros.program.processes import Processes
 
     with contextlib.closing(World()) as robot, Processes(bag.parent) as processes:
         robot.node.create_publisher(ViewCamera, "/gaussians/view", 1)

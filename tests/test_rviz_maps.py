@@ -12,7 +12,7 @@ from rosplat_core.generated import generate
 from rosplat_core.splats import concatenate
 from rosplat_lab.metrics import psnr
 from rosplat_msgs.msg import ViewCamera
-from rosplat_sorter.qos import VIEW
+from rosplat_ros.qos import VIEW
 from rviz_harness import (
     Rviz,
     World,

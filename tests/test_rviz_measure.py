@@ -34,7 +34,7 @@ class Seen:
 
     def __init__(self, rviz: Rviz, world: World) -> None:
         from rosplat_msgs.msg import ViewCamera
-        from rosplat_tools.poses import to_matrix
+        from rosplat_ros.poses import to_matrix
 
         height, width = rviz.picture().shape[:2]
         cameras: list[ViewCamera] = []

@@ -13,8 +13,8 @@ import pytest
 
 from rosplat_core import formats
 from rosplat_core.generated import generate
+from rosplat_ros.program.processes import Processes
 from rosplat_testing import PATIENCE
-from rosplat_tools.program.processes import Processes
 from rviz_harness import (
     Rviz,
     World,
@@ -236,7 +236,7 @@ def test_each_display_of_a_namespaced_rviz_has_a_publisher_of_its_own(
 
 
 def test_publishers_that_clear_each_others_map_are_named(rviz: Rviz, world: World) -> None:
-    from rosplat_tools.map_publisher import MapPublisher
+    from rosplat_ros.map_publisher import MapPublisher
 
     world.place()
     others = [MapPublisher(world.node, frame_id=world.frame) for _ in range(2)]

@@ -85,7 +85,7 @@ def request_picture(
     """The future of what the display answers to a camera that looks up from a metre below."""
     from rosplat_core.cameras import Camera
     from rosplat_msgs.srv import RenderView
-    from rosplat_tools.view_messages import view_camera
+    from rosplat_ros.view_cameras import view_camera
 
     below = np.eye(4)
     below[2, 3] = 1.0
@@ -101,7 +101,7 @@ def request_picture(
 def test_a_publisher_that_keeps_nothing_is_told_of(rviz: Rviz, world: World) -> None:
     """Who looks after its last batch waits for the next, and may wonder why."""
     from rosplat_msgs.msg import GaussianArray
-    from rosplat_sorter.qos import MAP_VOLATILE
+    from rosplat_ros.qos import MAP_VOLATILE
 
     publisher = world.node.create_publisher(GaussianArray, "/forgetful", MAP_VOLATILE)
     rviz.set("Map", "Topic", value="/forgetful")
@@ -112,7 +112,7 @@ def test_a_publisher_that_keeps_nothing_is_told_of(rviz: Rviz, world: World) -> 
 def watch_views(world: World, views: list[Any]) -> None:
     """Lists the cameras that orders are asked for."""
     from rosplat_msgs.msg import ViewCamera
-    from rosplat_sorter.qos import VIEW
+    from rosplat_ros.qos import VIEW
 
     world.node.create_subscription(ViewCamera, "/gaussians/view", views.append, VIEW)
 
@@ -215,7 +215,7 @@ def test_what_waits_for_a_picture_is_told_when_the_display_is_removed(
 def test_a_refused_batch_is_said_until_a_good_one_comes(tmp_path: Path, world: World) -> None:
     """In the log, too, before a simulated clock begins."""
     from rosplat_msgs.msg import GaussianArray
-    from rosplat_sorter.qos import MAP
+    from rosplat_ros.qos import MAP
 
     simulated = ["--ros-args", "-p", "use_sim_time:=true"]
     rviz = Rviz(tmp_path, *simulated, config=configuration(map_display()))

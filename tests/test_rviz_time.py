@@ -57,7 +57,7 @@ def test_a_stamp_that_tf_does_not_have(rviz: Rviz, world: World) -> None:
     from std_msgs.msg import Header
 
     from rosplat_msgs.msg import GaussianArray
-    from rosplat_sorter.qos import MAP
+    from rosplat_ros.qos import MAP
     from rosplat_testing.messages import encode
 
     now = world.node.get_clock().now().to_msg()

@@ -244,7 +244,7 @@ def test_each_view_says_who_sorted_it_and_asks_until_the_sidecar_did(
 ) -> None:
     """A sidecar that answers the camera alone: the other view is sorted here, and asks on."""
     from rosplat_msgs.msg import SplatOrder, ViewCamera
-    from rosplat_sorter.qos import ORDER
+    from rosplat_ros.qos import ORDER
 
     orders = world.node.create_publisher(SplatOrder, "gaussians/order", ORDER)
     asked: dict[bool, int] = {}

@@ -19,8 +19,8 @@ from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import SceneError, Splats, concatenate
 from rosplat_lab.simplify.command import main
 from rosplat_lab.simplify.path import along, load_camera_info
+from rosplat_ros.poses import to_pose
 from rosplat_testing.bags import needs_bags, record
-from rosplat_tools.poses import to_pose
 
 HIGH = 30.0  # where what no camera sees is [m]
 POSES = 40

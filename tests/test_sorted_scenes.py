@@ -13,10 +13,11 @@ from std_msgs.msg import Header
 from rosplat_core import depth, formats, view
 from rosplat_core.cameras import load_cameras
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter import backends, camera
+from rosplat_ros import view_cameras
+from rosplat_ros.view_cameras import view_camera
+from rosplat_sorter import backends
 from rosplat_sorter.map import SplatMap
 from rosplat_testing.messages import encode
-from rosplat_tools.view_messages import view_camera
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ def scene(request: pytest.FixtureRequest, data_folder: Path, reference_folder: P
     scene_map.take(message)
     orders = []
     for which in load_cameras(reference_folder / name / "cameras.json"):
-        seen = view.SortView.of(camera.decode(view_camera(which)), scene_map.frames)
+        seen = view.SortView.of(view_cameras.decode(view_camera(which)), scene_map.frames)
         depths = depth.transform(seen, scene_map.positions, 2)
         visible = np.flatnonzero(depth.visible(seen, scene_map.positions, scene_map.extents))
         assert len(visible) > len(splats) / 2

@@ -1,4 +1,4 @@
-"""What may include what: packages in a line, rooms of the engine in a line, no ROS in it."""
+"""What may include what: packages, rooms of the engine in a line, no ROS in it."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 CORE = ROOT / "rosplat_core"
-PACKAGES = (
-    "rosplat_core",
-    "rosplat_msgs",
-    "rosplat_sorter",
-    "rosplat_tools",
-    "rviz_gaussian_plugin",
-    "rosplat_lab",
-)
+BELOW = {  # what each package may name; the sorter, the tools and the display stand side by side
+    "rosplat_core": set(),
+    "rosplat_msgs": set(),
+    "rosplat_ros": {"rosplat_core", "rosplat_msgs"},
+    "rosplat_sorter": {"rosplat_core", "rosplat_msgs", "rosplat_ros"},
+    "rosplat_tools": {"rosplat_core", "rosplat_msgs", "rosplat_ros"},
+    "rviz_gaussian_plugin": {"rosplat_core", "rosplat_msgs", "rosplat_ros"},
+}
+BELOW["rosplat_lab"] = set(BELOW)
+PACKAGES = tuple(BELOW)
 ROOMS = (
     "threads", "slots", "map", "views", "order", "occupancy", "levels", "raster", "refit",
     "painter", "python",
@@ -75,13 +77,16 @@ def test_releases_of_ros_are_told_apart_in_one_header() -> None:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_packages_stand_in_a_line(package: str) -> None:
+def test_a_package_names_only_packages_below_it(package: str) -> None:
     """Tests may look up: they hold an engine against what draws with it."""
-    later = set(PACKAGES[PACKAGES.index(package) + 1 :])
+    others = set(PACKAGES) - BELOW[package] - {package}
     folder = ROOT / package
     for path in folder.rglob("*"):
         if path.suffix in (".py", ".cpp", ".hpp") and "test" not in path.relative_to(folder).parts:
-            assert not named(path) & later, path
+            assert not named(path) & others, path
+    manifest = (folder / "package.xml").read_text()
+    needed = set(re.findall(r"<(?:build_|exec_)?depend>(\w+)<", manifest))
+    assert not needed & others
 
 
 @pytest.mark.parametrize("room", ROOMS)

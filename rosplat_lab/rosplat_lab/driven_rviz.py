@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rosplat_tools.program.processes import ProcessError, Processes, node_command
+from rosplat_ros.program.processes import ProcessError, Processes, node_command
 
 NAME = "rviz2"  # of its log
 PATIENCE = 60.0  # longest wait for an answer of rviz2 [s]

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rosplat_tools.program.processes import Processes
+from rosplat_ros.program.processes import Processes
 
 if TYPE_CHECKING:
     from rclpy.client import Client

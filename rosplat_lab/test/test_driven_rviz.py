@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from rosplat_lab.driven_rviz import DrivenRviz
-from rosplat_tools.program.processes import ProcessError, Processes
+from rosplat_ros.program.processes import ProcessError, Processes
 
 SLEEP = [sys.executable, "-c", "import time; time.sleep(600)"]
 

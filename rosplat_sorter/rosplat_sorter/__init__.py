@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rosplat_sorter.backends import Backend, Unavailable, open_backend
-    from rosplat_sorter.map_subscription import MapSubscription
     from rosplat_sorter.order_slots import OrderReader
 
 __all__ = [
     "Backend",
-    "MapSubscription",
     "OrderReader",
     "Unavailable",
     "open_backend",
@@ -23,7 +21,6 @@ __all__ = [
 
 _MODULES = {
     "Backend": "backends",
-    "MapSubscription": "map_subscription",
     "OrderReader": "order_slots",
     "Unavailable": "backends",
     "open_backend": "backends",

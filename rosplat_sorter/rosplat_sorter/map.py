@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rosplat_core._core import SortMap
 from rosplat_core.maps import Arrival
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
-from rosplat_sorter import batches
+from rosplat_ros import batches
 
 if TYPE_CHECKING:
     from rosplat_msgs.msg import GaussianArray

@@ -22,15 +22,15 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from rosplat_msgs.msg import SplatOrder, ViewCamera
-from rosplat_sorter import qos
-from rosplat_sorter.arguments import take_ros_arguments_only
+from rosplat_ros import qos
+from rosplat_ros.diagnostics import Diagnostics, Report
+from rosplat_ros.map_receiver import MapReceiver
+from rosplat_ros.program.arguments import take_ros_arguments_only
+from rosplat_ros.program.memory import give_back_large_blocks, take_little_shared_memory
+from rosplat_ros.program.mistakes import Mistakes
+from rosplat_ros.program.spinning import spin_until
 from rosplat_sorter.backends import AUTO, BACKENDS
-from rosplat_sorter.diagnostics import Diagnostics, Report
-from rosplat_sorter.map_subscription import MapSubscription
-from rosplat_sorter.memory import give_back_large_blocks, take_little_shared_memory
-from rosplat_sorter.mistakes import Mistakes
 from rosplat_sorter.order_slots import pack
-from rosplat_sorter.spinning import spin_until
 from rosplat_sorter.worker import Answer, Worker
 
 THROTTLE = 5.0  # least time between two lines of the log of one kind [s]
@@ -46,7 +46,7 @@ class _AtWork:
 
     def __init__(self, node: SorterNode, backend: str, threads: int) -> None:
         self.worker = worker = Worker(node, backend, threads)
-        self._map = MapSubscription(node, worker.edit, busy=lambda: worker.busy, most_sh_degree=0)
+        self._map = MapReceiver(node, worker.edit, busy=lambda: worker.busy, most_sh_degree=0)
         self._spoilt = 0  # sum of the LOSSES at the last report
         self.wanted = time.monotonic()  # when a view last wanted an order
 

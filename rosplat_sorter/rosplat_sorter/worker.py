@@ -16,9 +16,10 @@ from rosplat_core.log_text import counted, shown
 from rosplat_core.maps import REPLACE, Arrival, BatchError
 from rosplat_core.posed_camera import CameraError, PosedCamera
 from rosplat_core.view import SortView
-from rosplat_sorter import backends, camera
+from rosplat_ros import view_cameras
+from rosplat_ros.batches import array_bytes
+from rosplat_sorter import backends
 from rosplat_sorter.backends import AUTO, Backend, Unavailable
-from rosplat_sorter.batches import array_bytes
 from rosplat_sorter.map import SplatMap
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
 
@@ -338,7 +339,7 @@ class Worker:
 
     def _see(self, message: ViewCamera) -> None:
         try:
-            seen = camera.decode(message)
+            seen = view_cameras.decode(message)
         except CameraError as error:
             self._drop_view(message, error)
             return

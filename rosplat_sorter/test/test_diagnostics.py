@@ -14,8 +14,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from rosplat_msgs.msg import GaussianArray, ViewCamera
-from rosplat_sorter import qos
-from rosplat_sorter.diagnostics import Diagnostics, Report
+from rosplat_ros import qos
+from rosplat_ros.diagnostics import Diagnostics, Report
 from rosplat_sorter.node import SorterNode
 
 PATIENCE = 60.0  # [s]

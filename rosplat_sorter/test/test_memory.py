@@ -11,7 +11,7 @@ from ament_index_python.packages import get_package_share_directory
 # Messages of megabytes come and go, and a little of each stays.
 MESSAGES = """
 from pathlib import Path
-from rosplat_sorter.memory import give_back_large_blocks
+from rosplat_ros.program.memory import give_back_large_blocks
 
 def held():
     return 4096 * int(Path("/proc/self/statm").read_text().split()[1])
@@ -40,7 +40,7 @@ SHARED = """
 import sys
 from pathlib import Path
 import rclpy
-from rosplat_sorter.memory import take_little_shared_memory
+from rosplat_ros.program.memory import take_little_shared_memory
 
 if sys.argv[1:]:
     take_little_shared_memory()
@@ -86,7 +86,8 @@ import threading
 import types
 import rclpy
 from rosplat_msgs.msg import ViewCamera
-from rosplat_sorter import node, qos
+from rosplat_ros import qos
+from rosplat_sorter import node
 
 def functions():
     return sum(isinstance(each, types.FunctionType) for each in gc.get_objects())

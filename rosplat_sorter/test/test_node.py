@@ -25,7 +25,8 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import PullMap
-from rosplat_sorter import qos, shared_orders
+from rosplat_ros import qos
+from rosplat_sorter import shared_orders
 from rosplat_sorter.node import SorterNode
 from rosplat_sorter.order_slots import OrderError, OrderReader
 from rosplat_sorter.shared_orders import FOLDER

@@ -8,7 +8,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from rosplat_tools.program.launching import (
+from rosplat_ros.program.launching import (
     declared,
     is_true,
     publisher,

@@ -14,7 +14,7 @@ from launch.event_handlers import OnProcessIO
 from launch.events.process import ProcessIO
 from launch.substitutions import LaunchConfiguration
 
-from rosplat_tools.program.launching import declared, is_true, room_for_maps
+from rosplat_ros.program.launching import declared, is_true, room_for_maps
 
 ARGUMENTS = {
     "topic": ("/gaussians", "Topic of the map, with its namespace"),

@@ -8,7 +8,7 @@ from launch.actions import GroupAction, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import PushRosNamespace, SetParameter
 
-from rosplat_tools.program.launching import (
+from rosplat_ros.program.launching import (
     declared,
     is_true,
     program,

@@ -1,4 +1,4 @@
-"""Scenes of 3D Gaussians: publishers, an emulated SLAM node and robot.
+"""Scenes of 3D Gaussians: publishers, cameras in a map, an emulated SLAM node and robot.
 
 The names here are the public interface, each loaded at its first use. The modules are private.
 """
@@ -10,15 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rosplat_tools.following.whole_maps import WholeMaps
-    from rosplat_tools.map_publisher import MapPublisher
 
 __all__ = [
-    "MapPublisher",
     "WholeMaps",
 ]
 
 _MODULES = {
-    "MapPublisher": "map_publisher",
     "WholeMaps": "following.whole_maps",
 }
 

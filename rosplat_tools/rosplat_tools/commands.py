@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from rosplat_tools.program.processes import run_module
+from rosplat_ros.program.processes import run_module
 
 align = partial(run_module, "align", "rosplat_tools.cameras.align")
 camera = partial(run_module, "camera", "rosplat_tools.cameras.camera")

@@ -16,7 +16,7 @@ from std_msgs.msg import Header
 
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
-from rosplat_tools.poses import to_matrix, to_pose
+from rosplat_ros.poses import to_matrix, to_pose
 
 # Some wheels of PyPI lack these.
 try:

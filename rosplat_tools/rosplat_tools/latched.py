@@ -11,7 +11,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from rosplat_sorter.qos import overridable
+from rosplat_ros.qos import overridable
 
 WATCH_PERIOD = 1.0  # [s]
 EARLY = 8  # messages that are remembered until publishers are known

@@ -13,8 +13,8 @@ from std_msgs.msg import Header
 from rosplat_core.log_text import counted, shown
 from rosplat_core.maps import Arrival
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.batches import apply, array_bytes
-from rosplat_sorter.map_subscription import MapSubscription
+from rosplat_ros.batches import apply, array_bytes
+from rosplat_ros.map_receiver import MapReceiver
 
 MOST_WAITING = 1 << 25  # of batches; batches beyond that are pulled later [bytes]
 PATIENCE = 3.0  # how long problem() waits for a map that begins anew [s]
@@ -48,7 +48,7 @@ class MapSubscriber:
         self._announced = False  # whether the map has held all that was announced
         self._began = self._applied = 0.0  # times of the last REPLACE and of the last batch [s]
         self._waiting: deque[tuple[GaussianArray, Arrival]] = deque()
-        self._subscription = MapSubscription(
+        self._subscription = MapReceiver(
             node,
             self._hear,
             busy=lambda: self._backlog() > MOST_WAITING,

@@ -18,10 +18,10 @@ from rosplat_core.program.progress import bar
 from rosplat_core.scenes import NAMES, is_generated, load_scene_into, vertical
 from rosplat_core.splats import PackedSplats, SceneError
 from rosplat_msgs.srv import LoadScene, SaveMap
-from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.program.files_below import check_below
-from rosplat_tools.program.parameters import declare, declare_compression, declare_path
-from rosplat_tools.program.running import Cancelled, run, spinning, wait_for_end
+from rosplat_ros.map_publisher import MapPublisher
+from rosplat_ros.program.files_below import check_below
+from rosplat_ros.program.parameters import declare, declare_compression, declare_path
+from rosplat_ros.program.running import Cancelled, run, spinning, wait_for_end
 
 # Of callbacks: ~/load that sends, one that reads, one that cancels; ~/save, repeat, parameters.
 THREADS = 6

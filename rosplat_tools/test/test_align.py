@@ -27,13 +27,13 @@ from rosplat_core.quaternions import from_matrices
 from rosplat_core.rendering import CpuRenderer
 from rosplat_msgs.msg import Comparison
 from rosplat_msgs.srv import Align
+from rosplat_ros.images import from_image, to_bytes, to_image
+from rosplat_ros.map_publisher import MapPublisher
+from rosplat_ros.poses import to_matrix, to_pose
+from rosplat_ros.program.processes import Processes
 from rosplat_testing import PATIENCE, Listener
 from rosplat_testing.studio import Log, Studio, transform
 from rosplat_tools.cameras.calibrations import of_lens
-from rosplat_tools.images import from_image, to_bytes, to_image
-from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.poses import to_matrix, to_pose
-from rosplat_tools.program.processes import Processes
 
 SEED = 2
 SPLATS = generate(5000, seed=SEED)

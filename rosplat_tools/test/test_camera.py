@@ -20,14 +20,14 @@ from rosplat_core.generated import generate
 from rosplat_core.lens_pictures import take_picture
 from rosplat_core.lenses import Lens, Warp
 from rosplat_core.rendering import CpuRenderer
+from rosplat_ros.images import from_image, to_bytes
+from rosplat_ros.map_publisher import MapPublisher
 from rosplat_testing import PATIENCE, Listener
 from rosplat_testing.studio import Log, Studio, transform
 from rosplat_tools.cameras.calibrations import of_lens
 from rosplat_tools.cameras.pose_history import SECOND, PoseError
 from rosplat_tools.cameras.poses import TopicPoses
 from rosplat_tools.frames import FrameError, Frames
-from rosplat_tools.images import from_image, to_bytes
-from rosplat_tools.map_publisher import MapPublisher
 
 SPLATS = generate(3000, seed=2)
 EYE = look_at((6.0, 1.0, 2.0), (0.0, 0.0, 0.5))

@@ -20,13 +20,13 @@ from rosplat_core.lens_pictures import take_picture
 from rosplat_core.lenses import Lens, Warp
 from rosplat_core.rendering import CpuRenderer
 from rosplat_msgs.msg import Comparison
+from rosplat_ros.images import from_image, to_bytes, to_image
+from rosplat_ros.map_publisher import MapPublisher
 from rosplat_testing import PATIENCE, Listener
 from rosplat_testing.studio import Log, Studio
 from rosplat_tools.cameras import comparison
 from rosplat_tools.cameras.calibrations import of_lens
 from rosplat_tools.emulation.flight import Flight
-from rosplat_tools.images import from_image, to_bytes, to_image
-from rosplat_tools.map_publisher import MapPublisher
 
 SPLATS = generate(3000, seed=2)
 EYES = [look_at((6 * np.cos(a), 6 * np.sin(a), 2.0), (0, 0, 0.5)) for a in np.arange(0, 1.5, 0.3)]

@@ -23,14 +23,14 @@ from rosplat_core.lenses import Lens, Warp
 from rosplat_core.maps import PublishedMap
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.splats import Splats
+from rosplat_ros.images import to_bytes, to_image
+from rosplat_ros.map_publisher import as_message
+from rosplat_ros.poses import to_pose
 from rosplat_testing.bags import needs_bags, record
 from rosplat_tools.cameras import compare_bag
 from rosplat_tools.cameras.calibrations import of_lens
 from rosplat_tools.cameras.pose_history import SECOND, PoseHistory
 from rosplat_tools.cameras.taken_pictures import PictureReader
-from rosplat_tools.images import to_bytes, to_image
-from rosplat_tools.map_publisher import as_message
-from rosplat_tools.poses import to_pose
 
 SPLATS = generate(2000, seed=2)
 EYES = [look_at((6 * np.cos(a), 6 * np.sin(a), 2.0), (0, 0, 0.5)) for a in (0.0, 0.4, 0.8)]

@@ -22,10 +22,10 @@ from sensor_msgs.msg import CameraInfo, Image, Imu
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.splats import Splats
 from rosplat_msgs.srv import RenderView
+from rosplat_ros.map_publisher import MapPublisher
 from rosplat_testing import PATIENCE
 from rosplat_tools.emulation.demo_sensors import Beat
 from rosplat_tools.emulation.flight import CAMERA_OFFSET, GRAVITY, Flight, draw_grid
-from rosplat_tools.map_publisher import MapPublisher
 
 FLIGHT = Flight(np.array([1.0, -2.0, 0.5]), 3.0, 1.2, 6.0)
 KEEP_ALL = QoSProfile(depth=2000)

@@ -29,14 +29,14 @@ from rosplat_core.occupancy import OccupancyMap, grid_of
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, SaveMap
-from rosplat_sorter.batches import apply
-from rosplat_sorter.qos import MAP
+from rosplat_ros.batches import apply
+from rosplat_ros.map_publisher import MapPublisher
+from rosplat_ros.program.running import spinning
+from rosplat_ros.qos import MAP
 from rosplat_testing import PATIENCE
 from rosplat_testing.studio import Log, transform
 from rosplat_tools import map_subscriber
-from rosplat_tools.map_publisher import MapPublisher
 from rosplat_tools.obstacles import occupancy
-from rosplat_tools.program.running import spinning
 
 Start = Callable[..., subprocess.Popen[str]]
 COUNT = 60_000

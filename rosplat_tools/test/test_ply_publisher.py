@@ -20,10 +20,10 @@ from rosplat_core import formats
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import SceneError, Splats
 from rosplat_msgs.srv import LoadScene, PullMap, SaveMap
+from rosplat_ros.program.processes import quoted
+from rosplat_ros.program.running import spinning
 from rosplat_testing import PATIENCE
 from rosplat_tools.ply_publisher import THREADS, PlyPublisher
-from rosplat_tools.program.processes import quoted
-from rosplat_tools.program.running import spinning
 
 Maker = Callable[..., Splats]
 Start = Callable[..., subprocess.Popen[str]]

@@ -13,11 +13,11 @@ from streamed_scene import APART, LEVELS, edited, write_scene
 
 from rosplat_core.cameras import Camera, look_at
 from rosplat_msgs.msg import ViewCamera
-from rosplat_sorter.qos import VIEW
+from rosplat_ros.qos import VIEW
+from rosplat_ros.view_cameras import view_camera
 from rosplat_testing import PATIENCE
 from rosplat_testing.studio import Studio
 from rosplat_tools.streaming.slot_allocator import slots_for
-from rosplat_tools.view_messages import view_camera
 
 Start = Callable[..., subprocess.Popen[str]]
 # For one chunk at its finest, and the others at their coarsest.

@@ -10,9 +10,9 @@ from rclpy.node import Node
 
 from rosplat_core.slot_order import slot_order
 from rosplat_core.splats import Splats, concatenate
+from rosplat_ros.map_publisher import MapPublisher
 from rosplat_testing.messages import as_held
 from rosplat_tools.following.whole_maps import WholeMaps
-from rosplat_tools.map_publisher import MapPublisher
 
 
 @pytest.fixture

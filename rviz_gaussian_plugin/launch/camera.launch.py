@@ -10,7 +10,7 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node, PushRosNamespace, SetRemap
 
-from rosplat_tools.program.launching import declared, publisher, room_for_maps, whole_number
+from rosplat_ros.program.launching import declared, publisher, room_for_maps, whole_number
 
 FOLDER = Path(__file__).parent
 ARGUMENTS = {

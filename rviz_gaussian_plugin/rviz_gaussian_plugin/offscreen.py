@@ -9,7 +9,7 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-from rosplat_tools.program.processes import end_with_parent
+from rosplat_ros.program.processes import end_with_parent
 from rviz_gaussian_plugin import _offscreen  # type: ignore[attr-defined]
 from rviz_gaussian_plugin._config import OGRE_PLUGINS
 

@@ -6,7 +6,7 @@
 #include <rosplat_msgs/srv/load_scene.hpp>
 
 #include "../src/display/ros_graph.hpp"
-#include "rosplat_tools/ros_versions.hpp"
+#include "rosplat_ros/ros_versions.hpp"
 
 namespace {
 

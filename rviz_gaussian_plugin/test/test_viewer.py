@@ -24,14 +24,13 @@ from rosplat_core.rendering import SplatCamera, insert_all
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
-from rosplat_sorter.batches import apply
-from rosplat_sorter.camera import decode
-from rosplat_sorter.qos import MAP_VOLATILE, ORDER, VIEW
+from rosplat_ros.batches import apply
+from rosplat_ros.map_publisher import MapPublisher
+from rosplat_ros.program.running import spinning
+from rosplat_ros.qos import MAP_VOLATILE, ORDER, VIEW
+from rosplat_ros.view_cameras import decode, view_camera
 from rosplat_testing import PATIENCE
 from rosplat_testing.messages import encode, encode_move
-from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.program.running import spinning
-from rosplat_tools.view_messages import view_camera
 
 offscreen = pytest.importorskip(
     "rviz_gaussian_plugin.offscreen", reason="the renderer is not built: no viewer to test"
@@ -311,7 +310,7 @@ def test_the_map_follows_the_mouse(up: tuple[float, float, float]) -> None:
 @pytest.mark.parametrize("wide", [0.0, 1e-300, 1e12, 1e15, 1e30, 3e38])
 @pytest.mark.parametrize("far", [0.0, 1e17, 1e300])
 def test_every_map_is_framed_by_a_camera_that_can_be_drawn_from(wide: float, far: float) -> None:
-    from rosplat_sorter.camera import numbers
+    from rosplat_ros.view_cameras import numbers
     from rviz_gaussian_plugin.viewer.orbit import OrbitCamera, bounds
 
     def look() -> None:

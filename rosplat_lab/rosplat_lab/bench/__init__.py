@@ -5,7 +5,7 @@ Subjects that need ROS 2 import it when they begin, so sorting and drawing can b
 
 from __future__ import annotations
 
-from rosplat_tools.program.processes import run_module
+from rosplat_ros.program.processes import run_module
 
 
 def main(arguments: list[str] | None = None) -> int:

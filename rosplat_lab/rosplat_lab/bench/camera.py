@@ -27,7 +27,7 @@ from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped, milliseconds
 from rosplat_lab.programs import PATIENCE, Programs
-from rosplat_tools.program.processes import quoted
+from rosplat_ros.program.processes import quoted
 
 SIZES, QUICK_SIZES = (500_000,), (20_000,)
 PICTURES, QUICK_PICTURES = ((640, 360), (1280, 720)), ((160, 90),)
@@ -128,8 +128,8 @@ def _by_camera(
     from rclpy.time import Time
     from sensor_msgs.msg import CameraInfo, Image
 
+    from rosplat_ros.poses import to_pose
     from rosplat_tools.cameras.calibrations import of_lens
-    from rosplat_tools.poses import to_pose
 
     lens = lens_of(cameras[0])
     if coefficients:
@@ -199,7 +199,7 @@ def _by_camera(
 
 def _by_render_view(film: Set, cameras: list[Camera]) -> Shoot:
     from rosplat_msgs.srv import RenderView
-    from rosplat_tools.view_messages import view_camera
+    from rosplat_ros.view_cameras import view_camera
 
     film.node("rosplat_sorter", "sorter")
     film.node("rviz_gaussian_plugin", "viewer", "-p", "serve:=true")

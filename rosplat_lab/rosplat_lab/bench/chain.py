@@ -11,7 +11,7 @@ import numpy as np
 from rosplat_lab.bench import live, scenes
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped
-from rosplat_tools.program.processes import ProcessError, quoted
+from rosplat_ros.program.processes import ProcessError, quoted
 
 SIZES, QUICK_SIZES = (100_000, 500_000, 1_000_000), (50_000,)
 RATES = (30.0, 60.0)  # at which the camera moves [Hz]

@@ -36,8 +36,8 @@ from rosplat_lab.bench.records import (
     save,
 )  # fmt: skip
 from rosplat_lab.bench.renderers import RENDERERS
+from rosplat_ros.program.processes import ProcessError
 from rosplat_sorter.backends import BACKENDS
-from rosplat_tools.program.processes import ProcessError
 
 WIDTH = 150  # of tables that go to a file
 STATISTICS = ("least", "p50", "p95", "p99", "most", "n")

@@ -17,8 +17,8 @@ from rosplat_lab import machine
 from rosplat_lab.bench import records
 from rosplat_lab.bench.line import Line
 from rosplat_lab.programs import Programs
+from rosplat_ros.program.processes import node_command, quoted
 from rosplat_sorter.backends import BACKENDS, Unavailable, open_backend
-from rosplat_tools.program.processes import node_command, quoted
 
 GPU = "gpu"  # the viewer's GPU sorts, no sorter runs
 PROCESSOR = "processor"  # the viewer's rasteriser sorts, without a graphics card and a sorter

@@ -17,9 +17,9 @@ from rosplat_core.maps import Arrival
 from rosplat_lab.bench.embedded import gl_finish
 from rosplat_lab.bench.scenes import STEP
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
-from rosplat_tools.program.parameters import declare
-from rosplat_tools.program.running import run, spinning
-from rosplat_tools.view_messages import view_camera
+from rosplat_ros.program.parameters import declare
+from rosplat_ros.program.running import run, spinning
+from rosplat_ros.view_cameras import view_camera
 from rviz_gaussian_plugin.offscreen import ensure_display
 from rviz_gaussian_plugin.viewer.node import Viewer
 from rviz_gaussian_plugin.viewer.orbit import OrbitCamera

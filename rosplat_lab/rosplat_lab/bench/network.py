@@ -14,7 +14,7 @@ from rosplat_lab.bench import live
 from rosplat_lab.bench.line import Line, NoLine
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped
-from rosplat_tools.program.processes import ProcessError
+from rosplat_ros.program.processes import ProcessError
 
 SIZES, QUICK_SIZES = (250_000, 500_000, 1_000_000, 2_000_000), (100_000,)
 RATES, QUICK_RATES = (30.0, 60.0), (30.0,)  # at which the camera moves [Hz]

@@ -23,12 +23,12 @@ from rosplat_core.generated import generate
 from rosplat_core.maps import PublishedBatch, PublishedMap
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_ros.map_publisher import as_message
+from rosplat_ros.messages import NONE, as_array
+from rosplat_ros.program.running import run, spinning, wait_for_end
+from rosplat_ros.qos import ORDER
 from rosplat_sorter.order_slots import PACKED, SHARED, SLOTS, OrderReader, pack
-from rosplat_sorter.qos import ORDER
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
-from rosplat_tools.map_publisher import as_message
-from rosplat_tools.messages import NONE, as_array
-from rosplat_tools.program.running import run, spinning, wait_for_end
 
 try:
     from visualization_msgs.msg import Marker, MarkerArray

@@ -27,7 +27,7 @@ from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped
 from rosplat_lab.driven_rviz import DrivenRviz, Refused
 from rosplat_lab.programs import Programs
 from rosplat_lab.reference.renderer import render
-from rosplat_tools.program.processes import ProcessError, Processes, quoted
+from rosplat_ros.program.processes import ProcessError, Processes, quoted
 
 SIZES = (500_000, 2_000_000)
 QUICK_SIZES = (20_000,)

@@ -24,9 +24,9 @@ from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement
 from rosplat_lab.programs import Programs
-from rosplat_tools.program.processes import quoted
+from rosplat_ros.program.processes import quoted
+from rosplat_ros.view_cameras import view_camera
 from rosplat_tools.streaming.detail import NOTHING, Levels, choose, in_sight, magnification
-from rosplat_tools.view_messages import view_camera
 
 if TYPE_CHECKING:
     from rosplat_msgs.srv import RenderView

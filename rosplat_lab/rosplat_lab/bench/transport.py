@@ -19,8 +19,8 @@ from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped
 from rosplat_lab.programs import Programs
 from rosplat_msgs.msg import ViewCamera
 from rosplat_msgs.srv import LoadScene
-from rosplat_sorter.qos import ORDER
-from rosplat_tools.program.processes import ProcessError
+from rosplat_ros.program.processes import ProcessError
+from rosplat_ros.qos import ORDER
 
 ORDER_SIZES = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
 QUICK_ORDER_SIZES = (100_000, 500_000)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rosplat_tools.program.processes import run_module
+from rosplat_ros.program.processes import run_module
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -33,9 +33,9 @@ from rosplat_lab.machine import commit, machine
 from rosplat_lab.metrics import LEAST_SIDE, compare
 from rosplat_lab.programs import ASK_AGAIN, Programs
 from rosplat_msgs.srv import RenderView
+from rosplat_ros.program.processes import Processes, quoted
+from rosplat_ros.view_cameras import view_camera
 from rosplat_sorter.backends import BACKENDS
-from rosplat_tools.program.processes import Processes, quoted
-from rosplat_tools.view_messages import view_camera
 
 START_TIMEOUT = 120.0  # for the map to be loaded, sent and received [s]
 SETTLED = 1.0  # a complete map that hasn't changed for so long has all its edits [s]

@@ -11,8 +11,8 @@ from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 
 from rosplat_core.splats import SceneError
+from rosplat_ros.poses import to_matrix, to_pose
 from rosplat_tools import bags
-from rosplat_tools.poses import to_matrix, to_pose
 
 KINDS: dict[str, type] = {
     "geometry_msgs/msg/PoseArray": PoseArray,

@@ -22,17 +22,17 @@ from rosplat_core.lenses import Straightened
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 from rosplat_msgs.srv import Align
-from rosplat_sorter.diagnostics import Diagnostics
-from rosplat_sorter.qos import overridable
+from rosplat_ros.diagnostics import Diagnostics
+from rosplat_ros.poses import to_matrix, to_pose
+from rosplat_ros.program.parameters import declare
+from rosplat_ros.program.running import run_node
+from rosplat_ros.qos import overridable
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.cameras.health import NoPicture
 from rosplat_tools.cameras.pose_history import SECOND, Pose
 from rosplat_tools.cameras.refining import Refined, refined
 from rosplat_tools.cameras.taken_pictures import Taken, TakenPictures
 from rosplat_tools.frames import TF, TFMessage, transform
-from rosplat_tools.poses import to_matrix, to_pose
-from rosplat_tools.program.parameters import declare
-from rosplat_tools.program.running import run_node
 
 POSES = QoSProfile(depth=5)
 THREADS = 2  # of callbacks

@@ -23,18 +23,18 @@ from rosplat_core.lens_pictures import DEPTHS, LensPicture, take_picture
 from rosplat_core.lenses import Lens, Warp
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
-from rosplat_sorter.diagnostics import Diagnostics
-from rosplat_sorter.qos import overridable
+from rosplat_ros.diagnostics import Diagnostics
+from rosplat_ros.images import to_bytes, to_image
+from rosplat_ros.program.parameters import declare, declare_clip, declare_path
+from rosplat_ros.program.running import run_node
+from rosplat_ros.qos import overridable
 from rosplat_tools.cameras import calibrations
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.cameras.health import Health, NoPicture
 from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError
 from rosplat_tools.cameras.poses import Poses, declare_poses
 from rosplat_tools.frames import LATEST
-from rosplat_tools.images import to_bytes, to_image
 from rosplat_tools.latched import LatchedSubscription
-from rosplat_tools.program.parameters import declare, declare_clip, declare_path
-from rosplat_tools.program.running import run_node
 
 # Reliable: such a publisher serves best-effort subscribers, too.
 PICTURES = QoSProfile(depth=5)

@@ -18,8 +18,11 @@ from sensor_msgs.msg import Image
 
 from rosplat_core.lenses import Lens, Straightened, Warp
 from rosplat_msgs.msg import Comparison
-from rosplat_sorter.diagnostics import Diagnostics
-from rosplat_sorter.qos import overridable
+from rosplat_ros.diagnostics import Diagnostics
+from rosplat_ros.images import to_image
+from rosplat_ros.program.parameters import declare
+from rosplat_ros.program.running import run_node
+from rosplat_ros.qos import overridable
 from rosplat_tools.cameras import compare_bag, comparison
 from rosplat_tools.cameras.comparer import compare
 from rosplat_tools.cameras.drawn_map import DrawnMap
@@ -28,9 +31,6 @@ from rosplat_tools.cameras.pose_history import SECOND
 from rosplat_tools.cameras.refining import refined
 from rosplat_tools.cameras.residual_map import ResidualMap
 from rosplat_tools.cameras.taken_pictures import Taken, TakenPictures
-from rosplat_tools.images import to_image
-from rosplat_tools.program.parameters import declare
-from rosplat_tools.program.running import run_node
 
 PICTURES = QoSProfile(depth=5)
 

@@ -21,7 +21,10 @@ from rosplat_core.rendering import CpuRenderer
 from rosplat_core.scenes import NAMES, load_scene
 from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import Comparison, GaussianArray
-from rosplat_sorter.batches import apply
+from rosplat_ros.batches import apply
+from rosplat_ros.images import read_mask
+from rosplat_ros.poses import to_matrix, to_pose
+from rosplat_ros.program.said_once import words_of
 from rosplat_tools import bags
 from rosplat_tools.cameras.comparer import compare
 from rosplat_tools.cameras.health import NoPicture
@@ -29,9 +32,6 @@ from rosplat_tools.cameras.pose_history import Pose, PoseError, PoseHistory
 from rosplat_tools.cameras.poses import nanoseconds
 from rosplat_tools.cameras.taken_pictures import PictureReader
 from rosplat_tools.frames import FrameError, Frames
-from rosplat_tools.images import read_mask
-from rosplat_tools.poses import to_matrix, to_pose
-from rosplat_tools.program.said_once import words_of
 
 ALWAYS = 1e9  # how far back poses are kept [s]
 TF, TF_STATIC = "/tf", "/tf_static"

@@ -13,10 +13,10 @@ from rosplat_core.lenses import Warp
 from rosplat_core.log_text import shown
 from rosplat_core.rendering import CpuRenderer
 from rosplat_msgs.msg import Comparison
+from rosplat_ros.images import to_bytes
 from rosplat_tools.cameras import comparison
 from rosplat_tools.cameras.health import NoPicture
 from rosplat_tools.cameras.taken_pictures import Taken
-from rosplat_tools.images import to_bytes
 
 
 @dataclass(frozen=True, eq=False)

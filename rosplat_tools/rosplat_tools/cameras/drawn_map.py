@@ -12,9 +12,9 @@ from std_msgs.msg import Header
 from rosplat_core.cameras import Camera
 from rosplat_core.rendering import CpuRenderer
 from rosplat_msgs.msg import ViewCamera
-from rosplat_sorter.qos import VIEW, overridable
+from rosplat_ros.qos import VIEW, overridable
+from rosplat_ros.view_cameras import view_camera
 from rosplat_tools.map_subscriber import MapSubscriber
-from rosplat_tools.view_messages import view_camera
 
 POLL = 0.005  # longest time between two looks at TF [s]
 

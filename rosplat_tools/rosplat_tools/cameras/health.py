@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 
-from rosplat_sorter.diagnostics import Report
-from rosplat_tools.program.said_once import SaidOnce
+from rosplat_ros.diagnostics import Report
+from rosplat_ros.program.said_once import SaidOnce
 
 
 class NoPicture(Exception):

@@ -13,11 +13,11 @@ from rclpy.qos import QoSProfile
 
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
-from rosplat_sorter.qos import overridable
+from rosplat_ros.poses import to_matrix, to_pose
+from rosplat_ros.program.parameters import declare
+from rosplat_ros.qos import overridable
 from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError, PoseHistory
 from rosplat_tools.frames import KEEPS, FrameError, Frames, on_restart
-from rosplat_tools.poses import to_matrix, to_pose
-from rosplat_tools.program.parameters import declare
 
 POSES = QoSProfile(depth=10)
 

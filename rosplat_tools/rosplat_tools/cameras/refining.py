@@ -15,10 +15,10 @@ from rosplat_core.lenses import Straightened
 from rosplat_core.log_text import shown
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.rendering import CpuRenderer
+from rosplat_ros.poses import to_pose
 from rosplat_tools.cameras.health import NoPicture
 from rosplat_tools.cameras.pose_history import Pose
 from rosplat_tools.cameras.taken_pictures import Taken
-from rosplat_tools.poses import to_pose
 
 
 @dataclass(frozen=True, eq=False)

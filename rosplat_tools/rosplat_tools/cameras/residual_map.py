@@ -13,10 +13,10 @@ from rclpy.node import Node
 from rosplat_core.rendering import Contributions, posed
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
-from rosplat_sorter.batches import slots_of
+from rosplat_ros.batches import slots_of
+from rosplat_ros.map_publisher import MapPublisher
 from rosplat_tools.cameras.comparer import Compared
 from rosplat_tools.cameras.drawn_map import DrawnMap
-from rosplat_tools.map_publisher import MapPublisher
 
 Value = TypeVar("Value", bound=np.generic)
 

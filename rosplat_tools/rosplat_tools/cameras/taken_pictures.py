@@ -20,15 +20,15 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from rosplat_core.lenses import Lens
-from rosplat_sorter.qos import overridable
+from rosplat_ros.images import from_image, read_mask
+from rosplat_ros.program.parameters import declare, declare_clip, declare_path
+from rosplat_ros.qos import overridable
 from rosplat_tools.cameras import calibrations
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.cameras.health import Health, NoPicture
 from rosplat_tools.cameras.pose_history import Pose, PoseError
 from rosplat_tools.cameras.poses import declare_poses, nanoseconds
-from rosplat_tools.images import from_image, read_mask
 from rosplat_tools.latched import LatchedSubscription
-from rosplat_tools.program.parameters import declare, declare_clip, declare_path
 
 WAITING = 8  # pictures that wait for their poses
 SILENCE = 5.0  # after which the log says that no picture has come [s]

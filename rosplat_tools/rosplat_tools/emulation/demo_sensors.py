@@ -27,17 +27,17 @@ from rosplat_core.lenses import Lens
 from rosplat_core.maps import Arrival
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import RenderView
-from rosplat_sorter.batches import positions_of
-from rosplat_sorter.map_subscription import MapSubscription
-from rosplat_sorter.qos import overridable
+from rosplat_ros.batches import positions_of
+from rosplat_ros.images import to_bytes, to_image
+from rosplat_ros.map_receiver import MapReceiver
+from rosplat_ros.program.parameters import declare
+from rosplat_ros.program.running import run_node
+from rosplat_ros.qos import overridable
+from rosplat_ros.view_cameras import view_camera
 from rosplat_tools.cameras.calibrations import of_lens
 from rosplat_tools.cameras.pose_history import SECOND
 from rosplat_tools.emulation.flight import CAMERA_OFFSET, Attitude, Flight, Motion, draw_grid
 from rosplat_tools.frames import TF, TFMessage, transform
-from rosplat_tools.images import to_bytes, to_image
-from rosplat_tools.program.parameters import declare
-from rosplat_tools.program.running import run_node
-from rosplat_tools.view_messages import view_camera
 
 # Reliable: such a publisher serves best-effort subscribers, too. Deep: late ticks send bursts.
 SENSOR = QoSProfile(depth=100)
@@ -125,7 +125,7 @@ class DemoSensors(Node):
         self._samples: list[NDArray[np.float64]] = []
         self._heard = ""  # frame of the last batch
         self._begun: float | None = None  # when the map did whose path is still to be laid
-        MapSubscription(self, self._on_batch)
+        MapReceiver(self, self._on_batch)
         self.create_timer(self._imu_beat.period / SECOND, self._tick)
 
     # --- The path ---------------------------------------------------------------------------------

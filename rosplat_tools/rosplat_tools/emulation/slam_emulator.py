@@ -13,10 +13,10 @@ from tqdm import tqdm
 from rosplat_core.log_text import shown
 from rosplat_core.scenes import NAMES, PROCEDURAL, load_scene
 from rosplat_core.splats import SceneError
+from rosplat_ros.map_publisher import MapPublisher
+from rosplat_ros.program.parameters import declare, declare_compression, declare_path
+from rosplat_ros.program.running import run_node
 from rosplat_tools.emulation.mapping import Move, around, edits, with_keyframes
-from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.program.parameters import declare, declare_compression, declare_path
-from rosplat_tools.program.running import run_node
 
 
 class SlamEmulator(Node):

@@ -18,13 +18,13 @@ from sensor_msgs.msg import PointCloud2
 from rosplat_core.log_text import shown
 from rosplat_core.scenes import load_scene
 from rosplat_core.splats import SceneError, Splats
+from rosplat_ros.map_publisher import MapPublisher
+from rosplat_ros.program.parameters import declare, declare_compression, declare_path
+from rosplat_ros.program.running import Cancelled, run_node
 from rosplat_tools.following.foreign_messages import from_point_cloud, from_splat_array
 from rosplat_tools.following.watched_file import WatchedFile
 from rosplat_tools.following.whole_maps import WholeMaps
 from rosplat_tools.latched import LatchedSubscription
-from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.program.parameters import declare, declare_compression, declare_path
-from rosplat_tools.program.running import Cancelled, run_node
 
 MAPS = QoSProfile(depth=1)  # of others' messages: only the newest counts
 

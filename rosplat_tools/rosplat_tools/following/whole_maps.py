@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.slot_order import slot_order
 from rosplat_core.splats import Splats
-from rosplat_tools.map_publisher import MapPublisher
+from rosplat_ros.map_publisher import MapPublisher
 
 _DRAWN = ("positions", "orientations", "scales", "opacities", "sh")
 

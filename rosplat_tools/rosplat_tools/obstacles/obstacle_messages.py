@@ -10,7 +10,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 
 from rosplat_core.occupancy import Grid
-from rosplat_tools.messages import as_array
+from rosplat_ros.messages import as_array
 
 _VOXEL = ("x", "y", "z")
 _SURFACE = (*_VOXEL, "normal_x", "normal_y", "normal_z", "rgb")  # as PCL names them

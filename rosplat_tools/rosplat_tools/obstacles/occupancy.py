@@ -39,8 +39,12 @@ from rosplat_core.program.output import told
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.splats import SceneError
 from rosplat_msgs.srv import SaveMap
-from rosplat_sorter.diagnostics import Diagnostics, Report
-from rosplat_sorter.qos import overridable
+from rosplat_ros.diagnostics import Diagnostics, Report
+from rosplat_ros.program.files_below import check_below
+from rosplat_ros.program.parameters import declare, declare_path
+from rosplat_ros.program.running import run_node
+from rosplat_ros.program.said_once import SaidOnce
+from rosplat_ros.qos import overridable
 from rosplat_tools.frames import FrameError, Frames
 from rosplat_tools.map_subscriber import MapSubscriber
 from rosplat_tools.obstacles.obstacle_messages import (
@@ -48,10 +52,6 @@ from rosplat_tools.obstacles.obstacle_messages import (
     surface_message,
     voxels_message,
 )
-from rosplat_tools.program.files_below import check_below
-from rosplat_tools.program.parameters import declare, declare_path
-from rosplat_tools.program.running import run_node
-from rosplat_tools.program.said_once import SaidOnce
 
 # As of map_server's grid.
 LATCHED = QoSProfile(

@@ -17,11 +17,11 @@ from rosplat_core.log_text import shown
 from rosplat_core.posed_camera import CameraError, PosedCamera
 from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import GaussianArray, ViewCamera
-from rosplat_sorter.camera import decode
-from rosplat_sorter.qos import VIEW, overridable
-from rosplat_tools.map_publisher import MapPublisher
-from rosplat_tools.program.parameters import declare, declare_compression, declare_path
-from rosplat_tools.program.running import run, spinning
+from rosplat_ros.map_publisher import MapPublisher
+from rosplat_ros.program.parameters import declare, declare_compression, declare_path
+from rosplat_ros.program.running import run, spinning
+from rosplat_ros.qos import VIEW, overridable
+from rosplat_ros.view_cameras import decode
 from rosplat_tools.streaming.followed_view import FollowedView
 from rosplat_tools.streaming.streamed_map import StreamedMap
 

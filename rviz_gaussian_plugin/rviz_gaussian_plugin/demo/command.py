@@ -13,7 +13,7 @@ from pathlib import Path
 from rosplat_core.program.output import say
 from rosplat_core.scenes import NAMES, vertical
 from rosplat_core.splats import SceneError
-from rosplat_tools.program.processes import ProcessError, Processes, quoted
+from rosplat_ros.program.processes import ProcessError, Processes, quoted
 
 PROCEDURAL = "procedural:200000"
 

@@ -20,8 +20,8 @@ from rosplat_core.program.files import replacing
 from rosplat_core.program.output import say, told
 from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import ViewCamera
-from rosplat_tools.program.running import run, spinning
-from rosplat_tools.view_messages import view_camera
+from rosplat_ros.program.running import run, spinning
+from rosplat_ros.view_cameras import view_camera
 from rviz_gaussian_plugin.offscreen import ensure_display
 from rviz_gaussian_plugin.viewer.node import QUIET, Viewer, described
 from rviz_gaussian_plugin.viewer.orbit import OrbitCamera

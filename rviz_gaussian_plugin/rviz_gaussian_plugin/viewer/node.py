@@ -22,12 +22,12 @@ from rosplat_core.rendering import OrderSource, RenderSettings
 from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
-from rosplat_sorter.batches import apply, array
-from rosplat_sorter.camera import numbers
-from rosplat_sorter.map_subscription import MapSubscription
-from rosplat_sorter.qos import ORDER, VIEW, overridable
-from rosplat_tools.images import to_image
-from rosplat_tools.program.parameters import declare, declare_path
+from rosplat_ros.batches import apply, array
+from rosplat_ros.images import to_image
+from rosplat_ros.map_receiver import MapReceiver
+from rosplat_ros.program.parameters import declare, declare_path
+from rosplat_ros.qos import ORDER, VIEW, overridable
+from rosplat_ros.view_cameras import numbers
 from rviz_gaussian_plugin.offscreen import Renderer
 from rviz_gaussian_plugin.viewer.orbit import bounds
 
@@ -125,7 +125,7 @@ class Viewer(Node):
         self._requests: queue.Queue[_Request] = queue.Queue()
 
         own = MutuallyExclusiveCallbackGroup
-        self._map = MapSubscription(self, self._on_batch, own())
+        self._map = MapReceiver(self, self._on_batch, own())
         topic = self._map.topic
         self._order_topic = f"{topic}/order"
         self._views = self.create_publisher(ViewCamera, f"{topic}/view", **overridable(VIEW))

@@ -5,7 +5,7 @@
 #include <rviz_common/frame_position_tracking_view_controller.hpp>
 
 #include "fly_motion.hpp"
-#include "rosplat_tools/ros_versions.hpp"
+#include "rosplat_ros/ros_versions.hpp"
 
 class QKeyEvent;
 

@@ -9,7 +9,7 @@
 #include "messages.hpp"
 #include "printable.hpp"
 #include "rosplat_core/threads/clock.hpp"
-#include "rosplat_tools/ros_versions.hpp"
+#include "rosplat_ros/ros_versions.hpp"
 
 namespace rosplat {
 

@@ -13,7 +13,7 @@
 #include "drawn_views.hpp"
 #include "gaussian_client.hpp"
 #include "render_service.hpp"
-#include "rosplat_tools/ros_versions.hpp"
+#include "rosplat_ros/ros_versions.hpp"
 #include "scene_drop.hpp"
 #include "scene_loader.hpp"
 #include "splat_cloud.hpp"

@@ -8,7 +8,7 @@
 #include <set>
 
 #include "ros_graph.hpp"
-#include "rosplat_tools/ros_versions.hpp"
+#include "rosplat_ros/ros_versions.hpp"
 
 namespace rosplat {
 

@@ -5,7 +5,7 @@
 #include <utility>
 
 #include "ros_graph.hpp"
-#include "rosplat_tools/ros_versions.hpp"
+#include "rosplat_ros/ros_versions.hpp"
 
 namespace rosplat {
 

@@ -1,0 +1,64 @@
+"""What launch files have in common. Needs launch_ros, which no node does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from launch import LaunchContext
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from rosplat_ros.program.processes import fast_dds_profile
+
+
+def declared(arguments: Mapping[str, tuple[str, str]]) -> list[DeclareLaunchArgument]:
+    """Arguments by name: the default, and what it means."""
+    return [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in arguments.items()
+    ]
+
+
+def room_for_maps(context: LaunchContext) -> list[SetEnvironmentVariable]:
+    """Gives the programs that follow room for maps in Fast DDS's shared memory, if it has any."""
+    profile = fast_dds_profile(context.environment)
+    return [SetEnvironmentVariable(name, value) for name, value in profile.items()]
+
+
+def is_true(given: Mapping[str, str], name: str) -> bool:
+    """Whether an argument says true or 1. Raises ValueError that names the argument."""
+    value = given[name].strip().lower()
+    if value not in ("true", "1", "false", "0"):
+        raise ValueError(f"{name}: expected true or false, got '{given[name]}'")
+    return value in ("true", "1")
+
+
+def whole_number(given: Mapping[str, str], name: str) -> int:
+    """An argument's value. Raises ValueError that names the argument."""
+    try:
+        return int(given[name])
+    except ValueError as error:
+        raise ValueError(f"{name}: expected a whole number, got '{given[name]}'") from error
+
+
+def program(package: str, executable: str, **parameters: object) -> Node:
+    """A node named like its executable."""
+    typed = {  # a path of digits stays a text
+        name: ParameterValue(value, value_type=type(value)) for name, value in parameters.items()
+    }
+    return Node(
+        package=package,
+        executable=executable,
+        name=executable,
+        parameters=[typed],
+        output="screen",
+    )
+
+
+def publisher(scene: str, frame_id: str, max_splats: int, **parameters: object) -> Node:
+    """The node that publishes a scene. max_splats: the most of a streamed one."""
+    name, parameters = "ply_publisher", parameters | {"path": scene, "frame_id": frame_id}
+    if scene.endswith("lod-meta.json"):
+        name, parameters = "stream_publisher", parameters | {"max_splats": max_splats}
+    return program("rosplat_tools", name, **parameters)

@@ -1,0 +1,71 @@
+"""Declares parameters: each has a description, numbers have a range."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+
+from rosplat_core.log_text import shown
+from rosplat_core.splats import SceneError
+from rosplat_ros.messages import COMPRESSIONS, NONE
+
+
+def declare(
+    node: Node,
+    name: str,
+    default: Any,
+    description: str,
+    low: float | None = None,
+    high: float | None = None,
+) -> Any:
+    """Declares a read-only parameter, a number from low to high if given; returns its value.
+
+    Raises SceneError for no value, one of another type or one out of range.
+    """
+    descriptor = ParameterDescriptor(description=description, read_only=True)
+    if low is not None and high is not None:
+        if isinstance(default, int):
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
+        else:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    try:
+        value = node.declare_parameter(name, default, descriptor).value
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        raise SceneError(str(error)) from error
+    if value is None:  # rclpy makes None of an empty list, whatever the type
+        raise SceneError(f"parameter {name}: has no value")
+    return value
+
+
+def declare_path(node: Node, name: str, default: str, description: str) -> str:
+    """Declares a parameter that names a file or a folder; ~ stands for the user's folder.
+
+    Raises SceneError as `declare`.
+    """
+    return os.path.expanduser(declare(node, name, default, description))
+
+
+def declare_compression(node: Node) -> str:
+    """Declares `compression`, for MapPublisher. Raises SceneError for one that is not known."""
+    known = ", ".join(COMPRESSIONS)
+    description = f"How splats travel: {known}; for subscribers beyond a network."
+    compression: str = declare(node, "compression", NONE, description)
+    if compression not in COMPRESSIONS:
+        raise SceneError(f"compression: expected one of {known}, got '{shown(compression)}'")
+    return compression
+
+
+def declare_clip(node: Node) -> tuple[float, float]:
+    """Declares `near` and `far` of a camera, and returns both. [m]
+
+    Raises SceneError where nothing is between them.
+    """
+    near: float = declare(node, "near", 0.01, "Splats nearer are left out. [m]", 1e-4, 1e6)
+    far: float = declare(node, "far", 1e6, "Splats farther are left out. [m]", 1e-3, 1e10)
+    if not near < far:
+        raise SceneError(f"parameters near, far: {near} is not less than {far}")
+    return near, far

@@ -1,0 +1,167 @@
+"""How the package's nodes begin and end: quietly by a signal, with one line by a user's mistake."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from threading import Event
+from typing import TypeVar
+
+import rclpy
+from rclpy.exceptions import (
+    InvalidHandle,
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+)
+from rclpy.executors import (
+    Executor,
+    ExternalShutdownException,
+    MultiThreadedExecutor,
+    SingleThreadedExecutor,
+)
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from rosplat_core.program.output import told
+from rosplat_core.splats import SceneError
+from rosplat_ros.program.arguments import take_ros_arguments_only
+from rosplat_ros.program.memory import give_back_large_blocks
+from rosplat_ros.program.mistakes import Mistakes
+from rosplat_ros.program.processes import interrupt_by_signals, since_interrupt
+
+GRACE = 0.5  # time that callbacks get to end before ROS ends [s]
+BREATH = 0.0002  # pause in which a thread can begin with a callback [s]
+LOST = 3.0  # so long after a signal, its exception counts as lost [s]
+
+
+AnyNode = TypeVar("AnyNode", bound=Node)
+
+
+class Cancelled(Exception):
+    """What a progress callback raises to end the work."""
+
+
+def run(program: str, body: Callable[[], None]) -> None:
+    """Runs body with ROS set up until it returns, or SIGINT or SIGTERM interrupts it.
+
+    A SceneError, RuntimeError, OSError or MemoryError ends the program by a line, with code 1, as
+    does a parameter of a wrong type, even use_sim_time, which rclpy reads.
+    """
+    _run(program, body, body.__module__)
+
+
+def run_node(
+    program: str,
+    make: Callable[[], AnyNode],
+    work: Callable[[AnyNode], None] | None = None,
+    threads: int = 1,
+) -> None:
+    """Runs a node as `run` does: its callbacks in threads of their own, its work in this one.
+
+    work: by default waits for a signal.
+    """
+
+    def body() -> None:
+        node = make()
+        with spinning(node, threads):
+            (work or wait_for_end)(node)
+
+    _run(program, body, make.__module__)
+
+
+def _run(program: str, body: Callable[[], None], module: str) -> None:
+    take_ros_arguments_only(program, sys.modules[module].__doc__)
+    give_back_large_blocks()
+    try:
+        # rclpy's own handlers shut ROS down under code that is just using it.
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        interrupt_by_signals()
+        body()
+    except (KeyboardInterrupt, Cancelled, ExternalShutdownException):
+        pass
+    except (
+        SceneError, RuntimeError, OSError, MemoryError,
+        InvalidParameterTypeException, InvalidParameterValueException,
+    ) as error:  # fmt: skip
+        print(f"{program}: {told(error)}", file=sys.stderr)
+        sys.exit(1)
+    finally:
+        rclpy.try_shutdown()
+
+
+@contextmanager
+def spinning(node: Node, threads: int = 1) -> Iterator[None]:
+    """Runs a node's callbacks in threads of their own while the block runs, then destroys it.
+
+    An exception of a callback ends ROS, which the block may see, and is raised here after the
+    block. A signal whose exception got lost ends ROS, too.
+    """
+    Mistakes(node)
+    executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
+    executor.add_node(node)
+    begun, ending, ended = Event(), Event(), Event()
+    spun: Future[None] | None = None
+
+    def spin() -> None:
+        begun.set()
+        try:
+            # Not executor.spin(): only the end of ROS ends it, in the middle of a callback.
+            while not ending.is_set():
+                executor.spin_once(0.1)
+                if since_interrupt() > LOST:
+                    node.context.try_shutdown()
+                    return
+                if threads > 1:
+                    # Up to Jazzy, rclpy hands a callback to its threads again and again until one
+                    # begins with it. Without a pause, none of them gets Python's lock.
+                    time.sleep(BREATH)
+        except BaseException:
+            node.context.try_shutdown()
+            raise
+        finally:
+            ended.set()
+
+    with ThreadPoolExecutor(1) as pool:
+        try:
+            spun = pool.submit(spin)  # Ctrl-C may come when the thread runs, but before spun is set
+            yield
+        finally:
+            ending.set()
+            if begun.is_set():  # else it will find `ending` set
+                ended.wait()
+            _wait_for_callbacks(executor, GRACE)
+            node.context.try_shutdown()  # callbacks that still run see that and end
+            _wait_for_callbacks(executor, math.inf)
+            _tell_of_callbacks(executor)
+            executor.shutdown()
+            node.destroy_node()
+            if spun:
+                spun.result()
+
+
+def _wait_for_callbacks(executor: Executor, timeout: float) -> None:
+    # Up to Jazzy, executor.shutdown(timeout) promises this but doesn't wait for other threads.
+    deadline = time.monotonic() + timeout
+    while not all(task.done() for task in getattr(executor, "_futures", [])):
+        if time.monotonic() > deadline:
+            return
+        time.sleep(0.005)
+
+
+def _tell_of_callbacks(executor: Executor) -> None:
+    # rclpy itself reports every error that nobody fetches. Since Kilted, nodes end with ROS: a
+    # callback that answers or publishes later raises InvalidHandle, which is no news.
+    for task in getattr(executor, "_futures", []):
+        error = task.exception()
+        if error and not isinstance(error, InvalidHandle):
+            print(told(error), file=sys.stderr)
+
+
+def wait_for_end(node: Node) -> None:
+    """Waits until a signal comes or a callback raises."""
+    while node.context.ok():
+        time.sleep(0.1)
