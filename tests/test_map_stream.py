@@ -6,15 +6,15 @@ Batches, requests and answers go astray or wait, latecomers join, the publisher 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from pulls import Label, Pull, Request, Step
 
-from rosplat_core import maps
 from rosplat_core.maps import Arrival, BatchError
 from rosplat_core.splats import Splats
 from rosplat_core.view import frame_at
@@ -25,7 +25,6 @@ from rosplat_ros.map_publisher import MapPublisher
 from rosplat_ros.map_receiver import labelled
 from rosplat_sorter.map import SplatMap
 
-MOST_WAITING = 1 << 26  # of MapPull [bytes]
 BLOCK = GaussianArray.SLOTS_PER_BLOCK
 KINDS = [
     *["upsert"] * 12, *["delete"] * 6, *["delete a block"] * 6, *["move"] * 4,
@@ -57,65 +56,6 @@ class Model:
         return placed
 
 
-class Label(NamedTuple):
-    """What counts of a batch. bytes: the memory that it takes."""
-
-    map_id: str
-    revision: int
-    replaces: bool
-    bytes: int = 0
-
-
-class Request(NamedTuple):
-    number: int
-    map_id: str
-    after_revision: int
-    first_block: int
-
-
-@dataclass
-class Step:
-    """What to do now: batches to apply in turn, and a request to send."""
-
-    batches: list[tuple[Any, Arrival]] = field(default_factory=list)
-    request: Request | None = None
-
-
-class Pull:
-    """MapPull, by names."""
-
-    def __init__(self) -> None:
-        self._pull = maps.MapPull()
-
-    @property
-    def pulling(self) -> bool:
-        return self._pull.pulling
-
-    def hold(self, held: bool) -> None:
-        self._pull.held = held
-
-    def hear(self, of: Label, batch: Any, now: float, served: bool) -> Step:
-        return _step(self._pull.hear((*of, batch), now, served))
-
-    def miss(self, of: Label) -> None:
-        self._pull.miss((*of, None))
-
-    def lose(self, now: float) -> None:
-        self._pull.lose(now)
-
-    def answer(self, number: int, batches: Any, block: int, now: float, served: bool) -> Step:
-        labelled = [(*of, batch) for of, batch in batches]
-        return _step(self._pull.answer(number, labelled, block, now, served))
-
-    def tick(self, now: float, served: bool) -> Step:
-        return _step(self._pull.tick(now, served))
-
-
-def _step(result: Any) -> Step:
-    batches, request = result
-    return Step(batches, Request(*request) if request else None)
-
-
 def label(message: GaussianArray) -> Label:
     return Label(*labelled(message)[:4])
 
@@ -136,6 +76,8 @@ class Wire:
 
     def serve_repeats(self, *_: object) -> Wire:
         return self
+
+    def destroy_publisher(self, _: object) -> None: ...
 
     def start(self) -> None: ...
 
@@ -335,290 +277,3 @@ def test_whatever_is_lost_all_end_with_the_map(
             publisher.map_id, publisher.revision,
         )  # fmt: skip
         check(receiver)
-
-
-def beginning() -> tuple[Pull, Request]:
-    """A receiver that has revision 1 and heard 5, and what it asks for."""
-    pull = Pull()
-    assert pull.hear(Label("map", 1, True), "one", 0.0, True).batches == [("one", Arrival.HEARD)]
-    step = pull.hear(Label("map", 5, False, 100), "five", 1.0, True)
-    assert not step.batches
-    assert (step.request.map_id, step.request.after_revision, step.request.first_block) == (
-        "map", 1, 0,
-    )  # fmt: skip
-    return pull, step.request
-
-
-def part(revision: int, map_id: str = "map", replaces: bool = False) -> tuple[Label, str]:
-    return Label(map_id, revision, replaces), f"pulled {revision}"
-
-
-@pytest.mark.parametrize(
-    ("batches", "next_block"),
-    [
-        ([part(5, map_id="another")], 0),
-        ([part(5), part(5, map_id="another")], 0),
-        ([part(0)], 0),
-        ([part(5), part(6)], 0),
-        ([part(5)], 2**15),
-        ([part(5)], 2**32 - 1),
-    ],
-)
-def test_an_answer_that_is_none_counts_for_nothing(
-    batches: list[tuple[Label, str]], next_block: int
-) -> None:
-    pull, request = beginning()
-    step = pull.answer(request.number, batches, next_block, 1.1, True)
-    assert step == Step([("five", Arrival.HEARD)])
-    assert not pull.pulling
-    assert pull.tick(1.5, True).request is None
-    again = pull.tick(2.5, True).request
-    assert (again.after_revision, again.first_block) == (1, 0)
-    # Nothing older than what was heard meanwhile.
-    assert pull.answer(again.number, [part(4)], 0, 2.6, True) == Step()
-
-
-def test_a_server_without_the_map_leaves_others_time_to_answer() -> None:
-    pull, request = beginning()  # at 1.0
-    assert pull.answer(request.number, [], 0, 1.1, True) == Step()
-    step = pull.answer(request.number, [part(5)], 0, 1.3, True)
-    assert step.batches == [("pulled 5", Arrival.LAST)]
-    assert not pull.pulling
-    pull, request = beginning()
-    assert pull.answer(request.number, [], 0, 1.1, True) == Step()
-    assert pull.tick(1.5, True) == Step()
-    assert pull.tick(1.7, True) == Step([("five", Arrival.HEARD)])  # nobody else has it
-    assert pull.tick(2.8, True).request
-
-
-@pytest.mark.parametrize("replaces", [False, True])
-def test_a_server_that_never_ends_is_asked_slowly_and_not_for_ever(replaces: bool) -> None:
-    """It answers at once, each time that there is more: of another revision, or from the first."""
-    pull, request = beginning()
-    now, times = 1.0, [1.0]
-    while now < 10:
-        now += 0.01
-        if request:
-            revision = 5 if replaces else 5 + len(times)
-            more = 1 if replaces else len(times) % 2
-            answer = [part(revision, replaces=replaces)]
-            request = pull.answer(request.number, answer, more, now, True).request
-        else:
-            request = pull.tick(now, True).request
-        times += [now] * (request is not None)
-        if not pull.pulling:
-            break
-    assert not pull.pulling  # what was heard has its turn
-    assert 30 < len(times) < 80
-    assert times[-1] - times[0] > 0.05 * (len(times) - 1)
-
-
-def test_large_answers_follow_each_other_without_a_pause() -> None:
-    pull, request = beginning()
-    for block in range(1, 100):
-        answer = (Label("map", 5, False, 2_000_000), "much")
-        request = pull.answer(request.number, [answer], block, 1.0 + 0.001 * block, True).request
-        assert request.first_block == block
-
-
-def pulled_again(pull: Pull, revision: int, times: Iterable[float], served: bool) -> list[float]:
-    """When what a receiver has is asked for again, not only what came after its revision."""
-    requests = ((now, pull.tick(now, served).request) for now in times)
-    return [now for now, request in requests if request and request.after_revision != revision]
-
-
-@pytest.mark.parametrize("served", [True, False])
-def test_who_joins_late_asks_though_it_hears_nothing_and_knows_of_no_server(served: bool) -> None:
-    pull = Pull()
-    request = pull.tick(0.0, served).request
-    assert (request.map_id, request.after_revision, request.first_block) == ("", 0, 0)
-    for now in np.arange(0.1, 1.0, 0.1):
-        assert pull.tick(now, served) == Step()
-    again = [now for now in np.arange(1.0, 5.0, 0.1) if pull.tick(now, served).request]
-    assert again
-    assert 0.9 < again[0] < 2.2  # it may have been lost
-    pull = Pull()
-    request = pull.tick(0.0, served).request
-    step = pull.answer(request.number, [part(7)], 3, 0.2, served)
-    assert step.batches == [("pulled 7", Arrival.PULLED)]
-    request = pull.tick(0.4, served).request
-    assert (request.map_id, request.first_block) == ("map", 3)
-    step = pull.answer(request.number, [part(7)], 0, 0.5, served)
-    assert step.batches == [("pulled 7", Arrival.LAST)]
-    assert pull.hear(Label("map", 8, False), "eight", 0.6, served).batches == [
-        ("eight", Arrival.HEARD)
-    ]
-    assert not pulled_again(pull, 8, np.arange(0.7, 20.0, 0.1), served)
-
-
-def test_batches_of_a_publisher_that_serves_no_pulls_do_not_wait() -> None:
-    pull = Pull()
-    pull.tick(0.0, False)
-    asked = []
-    for revision in range(5, 105):
-        step = pull.hear(Label("map", revision, False), revision, 0.1 * revision, False)
-        assert step.batches == [(revision, Arrival.HEARD)]
-        asked += [step.request, pull.tick(0.1 * revision, False).request]
-    assert 3 <= len([request for request in asked if request]) <= 6  # in ten seconds
-
-
-def test_a_map_without_a_name_is_pulled_once() -> None:
-    pull = Pull()
-    request = pull.tick(0.0, True).request
-    step = pull.answer(request.number, [part(7, map_id="")], 0, 0.1, True)
-    assert step.batches == [("pulled 7", Arrival.LAST)]
-    assert not pulled_again(pull, 7, np.arange(0.2, 5.0, 0.1), True)
-
-
-def test_a_round_whose_changes_all_wait_ends_the_pull() -> None:
-    """However fast the map changes: blocks of later answers are newer than those of the first."""
-    pull, request = beginning()
-    for revision in (6, 7):
-        assert pull.hear(Label("map", revision, False), revision, 1.05, True) == Step()
-    pull.answer(request.number, [part(6)], 3, 1.1, True)  # 6 is in all that follows
-    assert pull.hear(Label("map", 8, False), 8, 1.15, True) == Step()
-    assert pull.hear(Label("map", 9, False), 9, 1.16, True) == Step()
-    step = pull.answer(pull.tick(1.3, True).request.number, [part(8)], 0, 1.4, True)
-    assert step == Step(
-        [("pulled 8", Arrival.PULLED), (7, Arrival.PULLED), (8, Arrival.LAST), (9, Arrival.HEARD)]
-    )
-    assert not pull.pulling
-
-
-def test_a_change_that_comes_after_the_round_ends_the_pull_too() -> None:
-    pull, request = beginning()
-    pull.answer(request.number, [part(5)], 3, 1.1, True)
-    step = pull.answer(pull.tick(1.3, True).request.number, [part(7)], 0, 1.4, True)
-    assert step.batches == [("pulled 7", Arrival.PULLED)]
-    assert pull.hear(Label("map", 6, False), 6, 1.5, True) == Step()
-    assert pull.hear(Label("map", 7, False), 7, 1.5, True) == Step(
-        [(6, Arrival.PULLED), (7, Arrival.LAST)]
-    )
-    assert not pull.pulling
-
-
-def test_changes_with_a_gap_end_no_pull() -> None:
-    pull, request = beginning()
-    pull.answer(request.number, [part(5)], 3, 1.1, True)
-    assert pull.hear(Label("map", 7, False), 7, 1.15, True) == Step()
-    step = pull.answer(pull.tick(1.3, True).request.number, [part(7)], 0, 1.4, True)
-    assert step.batches == [("pulled 7", Arrival.PULLED)]
-    assert pull.pulling
-    assert step.request.after_revision == 5
-
-
-def test_what_there_was_no_room_for_is_pulled_once_there_is() -> None:
-    pull, request = beginning()
-    pull.hold(True)
-    pull.miss(Label("map", 6, False))
-    step = pull.answer(request.number, [part(5)], 0, 1.2, True)
-    assert step == Step([("pulled 5", Arrival.LAST)])
-    assert not pull.tick(2.0, True).request
-    pull.hold(False)
-    request = pull.tick(2.1, True).request
-    assert (request.after_revision, request.first_block) == (5, 0)
-    step = pull.answer(request.number, [part(6)], 0, 2.2, True)
-    assert step == Step([("pulled 6", Arrival.LAST)])
-    pull.miss(Label("another", 1, True))  # of a map that begins
-    request = pull.tick(3.0, True).request
-    assert (request.map_id, request.after_revision) == ("another", 0)
-
-
-def test_a_map_that_no_server_has_any_more_gives_way_to_another() -> None:
-    """As of a publisher that began anew, of which nothing was heard."""
-    pull = Pull()
-    pull.hear(Label("old", 4, True), "four", 0.0, True)
-    request = pull.tick(2.1, True).request
-    assert request.map_id == "old"
-    assert pull.answer(request.number, [], 0, 2.2, True) == Step()
-    asked = (pull.tick(2.2 + 0.1 * i, True).request for i in range(100))
-    request = next(request for request in asked if request)
-    assert (request.map_id, request.after_revision, request.first_block) == ("", 0, 0)
-    step = pull.answer(request.number, [part(3, "new", replaces=True)], 0, 20.0, True)
-    assert step.batches == [("pulled 3", Arrival.LAST)]
-    assert step.request.map_id == "new"  # whether anything got lost since
-
-
-def test_after_a_batch_without_memory_all_is_pulled_after_a_while() -> None:
-    pull = Pull()
-    pull.hear(Label("map", 1, True), "one", 0.0, True)
-    pull.hear(Label("map", 2, False), "two", 0.1, True)
-    pull.lose(0.1)
-    assert not pull.tick(0.2, True).request
-    request = pull.tick(10.0, True).request
-    assert (request.map_id, request.after_revision, request.first_block) == ("map", 0, 0)
-    step = pull.answer(request.number, [part(2, replaces=True)], 0, 10.1, True)
-    assert step == Step([("pulled 2", Arrival.LAST)])
-    assert not pull.pulling
-
-
-def test_a_last_batch_that_got_lost_is_pulled() -> None:
-    """Nothing that is heard tells of it: who hears nothing for a while asks."""
-    pull = Pull()
-    pull.hear(Label("map", 1, True), "one", 0.0, True)
-    assert not pull.tick(1.9, True).request
-    assert not pull.tick(2.0, False).request  # nobody could answer
-    request = pull.tick(2.1, True).request
-    assert (request.map_id, request.after_revision, request.first_block) == ("map", 1, 0)
-    assert not pull.pulling  # the map is taken for whole meanwhile
-    step = pull.answer(request.number, [part(2)], 0, 2.2, True)
-    assert step == Step([("pulled 2", Arrival.LAST)])
-    request = pull.tick(4.2, True).request
-    assert request.after_revision == 2
-    assert pull.answer(request.number, [part(2)], 0, 4.3, True) == Step()  # nothing is missing
-
-
-def test_what_is_heard_overtakes_an_answer_that_nothing_got_lost() -> None:
-    pull = Pull()
-    pull.hear(Label("map", 1, True), "one", 0.0, True)
-    request = pull.tick(2.1, True).request
-    assert pull.hear(Label("map", 2, False), "two", 2.2, True).batches == [("two", Arrival.HEARD)]
-    assert pull.answer(request.number, [part(1)], 0, 2.3, True) == Step()
-    assert not pull.pulling
-
-
-def test_who_asks_in_vain_goes_on_asking() -> None:
-    """A server that comes late is found soon, however long there was none."""
-    pull = Pull()
-    asked = [now for now in np.arange(0.0, 60.0, 0.1) if pull.tick(now, False).request]
-    assert max(np.diff(asked)) < 5
-
-
-def test_answers_never_go_back_to_earlier_blocks() -> None:
-    pull, request = beginning()
-    assert pull.answer(request.number, [part(5)], 7, 1.1, True) == Step(
-        [("pulled 5", Arrival.PULLED)]
-    )
-    request = pull.tick(1.25, True).request
-    assert request.first_block == 7
-    assert not pull.answer(request.number, [part(5)], 7, 1.3, True).batches
-    assert not pull.pulling
-
-
-def test_who_does_not_answer_is_waited_for_a_while() -> None:
-    pull, request = beginning()  # at 1.0
-    assert pull.tick(2.0, True) == Step()
-    for now in (2.1, 4.2):  # the server may not have known it yet
-        again = pull.tick(now, True).request
-        assert (again.after_revision, again.first_block) == (1, 0)
-    assert pull.answer(request.number, [part(5)], 0, 5.0, True) == Step()  # too late
-    assert pull.tick(8.1, True) == Step()
-    assert pull.tick(8.3, True) == Step([("five", Arrival.HEARD)])
-    assert pull.tick(9.4, True).request  # with new patience
-    assert pull.tick(10.3, True) == Step()
-    assert pull.tick(10.5, True).request
-    pull, request = beginning()
-    assert pull.tick(1.1, False).batches == [("five", Arrival.HEARD)]  # it has ended
-
-
-def test_what_waits_has_a_limit_and_what_is_dropped_is_pulled() -> None:
-    pull, request = beginning()
-    most = MOST_WAITING // 2
-    for revision in (6, 7, 8):
-        assert not pull.hear(Label("map", revision, False, most), revision, 1.1, True).batches
-    step = pull.answer(request.number, [part(5)], 0, 1.2, True)
-    assert step.batches == [("pulled 5", Arrival.LAST)]  # 6 is lacking
-    assert step.request.after_revision == 5
-    step = pull.answer(step.request.number, [part(6)], 0, 1.3, True)
-    assert step.batches == [("pulled 6", Arrival.LAST), (7, Arrival.HEARD), (8, Arrival.HEARD)]
-    assert not pull.pulling

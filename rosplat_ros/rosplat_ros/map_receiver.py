@@ -65,7 +65,7 @@ class MapReceiver:
         self._client: Client = node.create_client(
             PullMap, f"{self.topic}/pull", callback_group=callback_group
         )
-        self._answer: Future | None = None  # of the last request
+        self._asked: dict[int, Future] = {}  # answers to come, by the number of the request
         self._subscription = self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
         node.create_timer(WATCH_PERIOD, self._meet_publishers, callback_group, steady)
@@ -157,9 +157,9 @@ class MapReceiver:
                 f"{self.topic}: pulling {what}",
                 throttle_duration_sec=5.0,
             )
-        if self._answer:  # arrived, or outdated
-            self._client.remove_pending_request(self._answer)
-        self._answer = self._client.call_async(
+        for old in [old for old in self._asked if not self._pull.awaits(old)]:
+            self._client.remove_pending_request(self._asked.pop(old))
+        asked = self._asked[number] = self._client.call_async(
             PullMap.Request(
                 map_id=map_id,
                 after_revision=after_revision,
@@ -168,18 +168,18 @@ class MapReceiver:
             )
         )
         pending = self._client._pending_requests  # only this has the request's number in ROS
-        sequence = next((key for key, asked in pending.items() if asked is self._answer), 0)
-        self._answer.add_done_callback(lambda answer: self._take(number, sequence, answer))
+        sequence = next((key for key, future in pending.items() if future is asked), 0)
+        asked.add_done_callback(lambda answer: self._take(number, sequence, answer))
 
     def _take(self, number: int, sequence: int, answer: Future) -> None:
         response: PullMap.Response = answer.result()
         with self._lock:
             self._pull.held = self._busy()
-            if answer is not self._answer:
+            if self._asked.get(number) is not answer:
                 return
             if not response.batches:  # no such map there: rclpy is made to take another's answer
-                self._answer = self._client._pending_requests[sequence] = Future()
-                self._answer.add_done_callback(lambda other: self._take(number, sequence, other))
+                other = self._asked[number] = self._client._pending_requests[sequence] = Future()
+                other.add_done_callback(lambda answer: self._take(number, sequence, answer))
             batches = [labelled(message) for message in response.batches]
             now, served = time.monotonic(), self._served()
             self._do(self._pull.answer(number, batches, response.next_block, now, served))

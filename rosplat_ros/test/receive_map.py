@@ -23,7 +23,7 @@ built = SlotMap()
 
 
 def receive(message: GaussianArray, arrival: Arrival) -> None:
-    batches.append((message.revision, message.operation, arrival is not Arrival.HEARD))
+    batches.append((message.revision, message.operation, arrival != Arrival.HEARD))
     apply(message, built)
 
 

@@ -84,7 +84,7 @@ class MapSubscriber:
             if batch.operation == GaussianArray.REPLACE:
                 self._announced, self._began = False, self._applied
             # Splats that are deleted later, or that a late pull lacks, aren't missing.
-            self._announced |= arrival is Arrival.LAST or self.books.complete
+            self._announced |= arrival == Arrival.LAST or self.books.complete
             self.applied(batch)
             if dropped:
                 self._dropped += dropped

@@ -22,10 +22,10 @@ class Server {
   explicit Server(const std::string& name)
       : node_(std::make_shared<rclcpp::Node>(name)),
         service_(node_->create_service<PullMap>(
-            "/pulled", [name](const PullMap::Request::SharedPtr request,
-                              const PullMap::Response::SharedPtr response) {
+            "/pulled",
+            [name](const PullMap::Request::SharedPtr, const PullMap::Response::SharedPtr response) {
               response->batches.resize(1);
-              response->batches.front().map_id = request->map_id + " of " + name;
+              response->batches.front().map_id = " of " + name;
             })) {
     executor_.add_node(node_);
   }
@@ -45,7 +45,11 @@ class PullClientTest : public testing::Test {
   PullClientTest()
       : node_(std::make_shared<rclcpp::Node>("receiver")),
         group_(node_->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive, false)),
-        client_(PullClient::make(*node_, "/pulled", group_)) {
+        client_(PullClient::make(
+            *node_, "/pulled", group_,
+            [this](std::uint64_t number, std::shared_ptr<const PullMap::Response> response) {
+              heard_.insert(std::to_string(number) + response->batches.front().map_id);
+            })) {
     executor_.add_callback_group(group_, node_->get_node_base_interface());
   }
 
@@ -61,13 +65,11 @@ class PullClientTest : public testing::Test {
     return heard_ == all;
   }
 
-  void ask(const std::string& map_id) {
-    auto request = std::make_shared<PullMap::Request>();
-    request->map_id = map_id;
+  // awaited: the first number whose answers still count.
+  void ask(std::uint64_t number, std::uint64_t awaited) {
     heard_.clear();
-    client_->ask(request, [this](std::shared_ptr<const PullMap::Response> response) {
-      heard_.insert(response->batches.front().map_id);
-    });
+    client_->ask(std::make_shared<PullMap::Request>(), number,
+                 [awaited](std::uint64_t asked) { return asked >= awaited; });
   }
 
   Server first_{"first"}, second_{"second"};
@@ -80,17 +82,21 @@ class PullClientTest : public testing::Test {
 
 }  // namespace
 
-TEST_F(PullClientTest, EachServerIsHeardButOnlyOfTheLastRequest) {
+TEST_F(PullClientTest, EachServerIsHeardButOnlyOfAwaitedRequests) {
   bool met = false;
   for (int i = 0; i < 100 && !met; ++i) {
-    ask("met");
-    met = hears({"met of first", "met of second"}, 200ms);
+    ask(0, 1);
+    met = hears({"0 of first", "0 of second"}, 200ms);
   }
   ASSERT_TRUE(met);
-  ask("early");
-  ASSERT_TRUE(hears({"early of first"}, 10s, false));
-  ask("late");
-  ASSERT_TRUE(hears({"late of first", "late of second"}, 10s));  // and not "early of second"
+  ask(1, 1);
+  ASSERT_TRUE(hears({"1 of first"}, 10s, false));
+  ask(2, 2);
+  ASSERT_TRUE(hears({"2 of first", "2 of second"}, 10s));  // and not "1 of second"
+  ask(3, 3);
+  ASSERT_TRUE(hears({"3 of first"}, 10s, false));
+  ask(4, 3);
+  ASSERT_TRUE(hears({"3 of second", "4 of first", "4 of second"}, 10s));
 }
 
 }  // namespace rosplat

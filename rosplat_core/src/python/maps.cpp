@@ -98,6 +98,7 @@ void defineMaps(py::module_& module) {
           "miss", [](Pull& pull, const Labelled& heard) { pull.miss(labelled(heard).label); },
           "heard"_a)
       .def("lose", &Pull::lose, "now"_a)
+      .def("awaits", &Pull::awaits, "number"_a)
       .def(
           "hear",
           [](Pull& pull, const Labelled& heard, double now, bool served) {

@@ -83,7 +83,11 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
   rclcpp::PublisherOptions publishing;
   publishing.qos_overriding_options = overridable;
   remapped_ = node_->get_node_topics_interface()->resolve_topic_name(topic_);
-  pull_client_ = PullClient::make(*node_, remapped_ + "/pull", group_);
+  pull_client_ = PullClient::make(
+      *node_, remapped_ + "/pull", group_,
+      [this](std::uint64_t number, std::shared_ptr<const PullClient::Response> response) {
+        takeAnswer(number, std::move(response));
+      });
   subscribe(qosFor(false));
   status_.topic = remapped_;
   orders_ = node_->create_subscription<SplatOrder>(
@@ -175,16 +179,18 @@ void GaussianClient::send(const Pull::Request& request) {
   asked->map_id = request.map_id;
   asked->after_revision = request.after_revision;
   asked->first_block = request.first_block;
-  const auto answer =
-      [this, number = request.number](std::shared_ptr<const PullClient::Response> response) {
-        std::vector<Pull::Labelled> batches;
-        for (const GaussianArray& batch : response->batches) {
-          batches.push_back(labelled(std::shared_ptr<const GaussianArray>(response, &batch)));
-        }
-        pull_.held = isFull();
-        act(pull_.answer(number, std::move(batches), response->next_block, now(), served()));
-      };
-  pull_client_->ask(std::move(asked), answer);
+  pull_client_->ask(std::move(asked), request.number,
+                    [this](std::uint64_t number) { return pull_.awaits(number); });
+}
+
+void GaussianClient::takeAnswer(std::uint64_t number,
+                                std::shared_ptr<const PullClient::Response> response) {
+  std::vector<Pull::Labelled> batches;
+  for (const GaussianArray& batch : response->batches) {
+    batches.push_back(labelled(std::shared_ptr<const GaussianArray>(response, &batch)));
+  }
+  pull_.held = isFull();
+  act(pull_.answer(number, std::move(batches), response->next_block, now(), served()));
 }
 
 bool GaussianClient::take(const GaussianArray& message, Arrival arrival) {

@@ -120,6 +120,7 @@ class GaussianClient {
   void note(const std::string& map_id);
   void act(Pull::Step step);
   void send(const Pull::Request& request);
+  void takeAnswer(std::uint64_t number, std::shared_ptr<const PullClient::Response> response);
   // Returns false if there was no memory for a batch.
   bool take(const GaussianArray& message, Arrival arrival);
   bool served() const { return pull_client_->service_is_ready(); }

@@ -2,8 +2,8 @@
 
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
-#include <optional>
 #include <rclcpp/rclcpp.hpp>
 #include <rosplat_msgs/srv/pull_map.hpp>
 #include <string>
@@ -15,36 +15,44 @@ namespace rosplat {
 // own client takes only the first answer to a request.) Only the group's thread asks and hears.
 class PullClient : public rclcpp::Client<rosplat_msgs::srv::PullMap> {
  public:
-  using Hear = std::function<void(std::shared_ptr<const Response>)>;
+  // Takes the number of a request, and an answer to it.
+  using Hear = std::function<void(std::uint64_t, std::shared_ptr<const Response>)>;
 
-  PullClient(rclcpp::Node& node, const std::string& service, rcl_client_options_t options)
+  PullClient(rclcpp::Node& node, const std::string& service, rcl_client_options_t options,
+             Hear hear)
       : Client(node.get_node_base_interface().get(), node.get_node_graph_interface(), service,
-               options) {}
+               options),
+        hear_(std::move(hear)) {}
 
   static std::shared_ptr<PullClient> make(rclcpp::Node& node, const std::string& service,
-                                          rclcpp::CallbackGroup::SharedPtr group) {
-    auto client = std::make_shared<PullClient>(node, service, rcl_client_get_default_options());
+                                          rclcpp::CallbackGroup::SharedPtr group, Hear hear) {
+    auto client = std::make_shared<PullClient>(node, service, rcl_client_get_default_options(),
+                                               std::move(hear));
     node.get_node_services_interface()->add_client(client, std::move(group));
     return client;
   }
 
-  // Answers to earlier requests aren't heard any more.
-  void ask(Request::SharedPtr request, Hear hear) {
-    if (asked_) remove_pending_request(*asked_);
-    hear_ = std::move(hear);
-    asked_ = async_send_request(std::move(request)).request_id;
+  // Answers to earlier requests are heard only while they are awaited, told by the number.
+  void ask(Request::SharedPtr request, std::uint64_t number,
+           const std::function<bool(std::uint64_t)>& awaited) {
+    for (auto asked = asked_.begin(); asked != asked_.end();) {
+      const bool outdated = !awaited(asked->second);
+      if (outdated) remove_pending_request(asked->first);
+      asked = outdated ? asked_.erase(asked) : std::next(asked);
+    }
+    asked_[async_send_request(std::move(request)).request_id] = number;
   }
 
   void handle_response(std::shared_ptr<rmw_request_id_t> request,
                        std::shared_ptr<void> response) override {
-    if (request->sequence_number != asked_) return;
-    const Hear hear = hear_;  // a copy: the call may ask again
-    hear(std::static_pointer_cast<const Response>(response));
+    const auto asked = asked_.find(request->sequence_number);
+    if (asked == asked_.end()) return;
+    hear_(asked->second, std::static_pointer_cast<const Response>(response));
   }
 
  private:
-  std::optional<std::int64_t> asked_;
-  Hear hear_;
+  const Hear hear_;
+  std::map<std::int64_t, std::uint64_t> asked_;  // numbers of requests, by ROS's numbers
 };
 
 }  // namespace rosplat

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "rosplat_core/map/gaussian_batch.hpp"
+#include "rosplat_core/map/patience.hpp"
 
 namespace rosplat {
 
@@ -27,6 +28,10 @@ namespace rosplat {
 // that of one revision, and the batches above that revision follow. Where nothing can be pulled,
 // batches are applied as they come.
 //
+// An answer may be slow or get lost. The block is asked for again once its patience ends, and the
+// first answer to any of these requests counts. After kMostLate requests in vain, batches no longer
+// wait. What has come is kept: the round goes on at its block as soon as an answer comes.
+//
 // A receiver that knows no map asks for any. It asks now and then even if no server is known: ROS
 // reports a server late, and reports none while one of several is half known. A receiver that hears
 // nothing for a while asks whether it has everything: the last batch may be lost.
@@ -37,8 +42,8 @@ class MapPull {
   static constexpr double kPause = 0.1;
   static constexpr std::size_t kSmall = 1u << 14;  // [bytes]
   static constexpr int kMostRounds = 32;           // after more, a pull is given up
-  // Time to wait for an answer: a server may not know a new client yet. Doubles up to the most. [s]
-  static constexpr double kPatience = 1.0, kMostPatience = 4.0;
+  static constexpr int kMostLate = 3;              // requests in vain until batches no longer wait
+  static constexpr std::size_t kMostSent = 16;     // requests for one block whose answers count
   static constexpr double kOthers = 0.5;  // time for other servers once one lacks the map [s]
   static constexpr double kRetry = 1.0;   // pause after a pull that was given up [s]
   // Time from one request to the next while no server is known. [s]
@@ -104,35 +109,46 @@ class MapPull {
     retry_from_ = now + kRetry;
   }
 
-  // Takes an answer to a request; several servers may send one each. Answers to earlier requests
-  // are ignored, and so are those after the first that has batches.
+  // Whether an answer to a request still counts: none has come to it, or to one for the same block.
+  bool awaits(std::uint64_t number) const {
+    return number <= number_ && number_ - number < sent_.size();
+  }
+
+  // Takes an answer to a request; several servers may send one each. It counts if it is awaited,
+  // and none after the first that has batches.
   Step answer(std::uint64_t number, std::vector<Labelled> batches, std::uint32_t next_block,
               double now, bool served) {
     Step step;
-    if (!asked_ || number != number_) return step;
+    if (!awaits(number)) return step;
     if (batches.empty()) {  // this server lacks the map; another may have it
-      refused_ = true;
-      patience_ = std::min(patience_, now - *asked_ + kOthers);
+      if (!refused_from_) refused_from_ = now;
       return step;
     }
-    asked_.reset();
-    if (std::exchange(gone_, false) && batches.front().label.map_id != map_id_) {
+    const Label first = batches.front().label;
+    patience_.learn(now - sent_[sent_.size() - 1 - (number_ - number)]);
+    if (std::exchange(gone_, false) && first.map_id != map_id_) {
       stop();
-      begin(batches.front().label.map_id);
+      begin(first.map_id);
     }
-    if (!lacks() && !pulling_ && batches.front().label.map_id == *map_id_ &&
-        batches.front().label.revision <= revision_) {
+    if (!lacks() && !pulling_ && first.map_id == *map_id_ && first.revision <= revision_) {
+      forget();
       return step;  // nothing got lost
     }
+    if (first.map_id == map_id_ && first.revision > 0 && first.revision < revision_) {
+      // What was heard has overtaken the answer. Batches have to wait for the next one.
+      if (std::exchange(silent_, false)) pull();
+      ask(now, served, step);
+      return step;
+    }
+    forget();
     if (!isSound(batches, next_block)) {
       giveUp(now, step);
       return step;
     }
     ended_at_ = 0;
     pulling_ = answered_ = true;
-    refused_ = false;
-    patience_ = kPatience;
-    const Label first = batches.front().label;
+    silent_ = false;
+    late_ = 0;
     map_id_ = first.map_id;
     if (first.replaces) base_ = block_ = 0;
     if (block_ == 0) {
@@ -161,14 +177,16 @@ class MapPull {
   // Handles overdue answers and asks anew; to be called several times a second.
   Step tick(double now, bool served) {
     Step step;
-    const bool late = asked_ && now > *asked_ + patience_;
-    const bool hopeless = late && (refused_ || patience_ >= kMostPatience);
-    if (pulling_ && (hopeless || !(served || answered_))) {
-      giveUp(now, step);
-    } else if (late) {
-      gone_ = refused_ && !pulling_;
-      patience_ = std::min(2 * patience_, kMostPatience);
-      asked_.reset();
+    const bool refused = refused_from_ && now > *refused_from_ + kOthers;
+    const bool late = asked_ && (refused || now > sent_.back() + patience_.wait());
+    if (late) {
+      asked_ = false;
+      ++late_;
+      gone_ = refused_from_ && !pulling_;
+      if (served && !refused_from_) patience_.doubleUp();
+    }
+    if (pulling_ && ((late && (refused_from_ || late_ >= kMostLate)) || !(served || answered_))) {
+      pause(now, step);
     }
     ask(now, served, step);
     return step;
@@ -197,24 +215,31 @@ class MapPull {
     exact_ = label.replaces;
   }
 
-  // Keeps asked_: the answer to a request without a map_id may be of this map.
+  // Keeps what is asked: the answer to a request without a map_id may be of this map.
   void begin(const std::string& map_id) {
     map_id_ = map_id;
+    patience_ = {};
     heard_ = revision_ = base_ = 0;
     exact_ = true;  // nothing is missing of an empty map
     retry_from_ = kNever;
   }
 
   void stop() {
-    pulling_ = false;
-    asked_.reset();
-    refused_ = false;
-    patience_ = kPatience;
+    forget();
+    pulling_ = silent_ = false;
+    late_ = 0;
     block_ = 0;
     rounds_ = 0;
     ended_at_ = 0;
     waiting_.clear();
     waiting_bytes_ = 0;
+  }
+
+  // Answers to what was asked don't count any more.
+  void forget() {
+    asked_ = false;
+    refused_from_.reset();
+    sent_.clear();
   }
 
   void follow(Labelled heard, double now, bool served, Step& step) {
@@ -229,7 +254,7 @@ class MapPull {
       stop();
       exact_ = true;
     } else if (label.revision - revision_ > 1) {
-      if (served && now >= retry_from_) {
+      if (served && !silent_ && now >= retry_from_) {
         pull();
         return wait(std::move(heard));
       }
@@ -242,9 +267,9 @@ class MapPull {
 
   void pull() {
     pulling_ = true;
-    round_ = revision_;
-    asked_.reset();  // a request to no known server may be lost
-    patience_ = kPatience;
+    if (block_ == 0) round_ = revision_;
+    asked_ = false;  // a request to no known server may be lost
+    late_ = 0;
   }
 
   void wait(Labelled heard) {
@@ -285,23 +310,42 @@ class MapPull {
     if (revision_ < heard_ && !pulling_) exact_ = false;  // miss() got the last batch
   }
 
+  // Nobody answers: batches no longer wait. The round goes on with the next answer.
+  void pause(double now, Step& step) {
+    pulling_ = false;
+    silent_ = true;
+    passOn(now, step);
+  }
+
+  // The answers made no sense, or don't end: the pull begins again, later.
   void giveUp(double now, Step& step) {
     std::deque<Labelled> waiting = std::move(waiting_);
     stop();
+    waiting_ = std::move(waiting);
+    passOn(now, step);
+  }
+
+  // Passes on the batches that wait, though something before them is missing.
+  void passOn(double now, Step& step) {
     exact_ = answered_ = false;
+    ended_at_ = 0;
     retry_from_ = now + kRetry;
-    for (Labelled& heard : waiting) follow(std::move(heard), now, false, step);
+    waiting_bytes_ = 0;
+    for (Labelled& heard : std::exchange(waiting_, {})) follow(std::move(heard), now, false, step);
   }
 
   void ask(double now, bool served, Step& step) {
-    if (lacks() && (served || answered_) && now >= retry_from_ && !pulling_) pull();
+    if (lacks() && !silent_ && (served || answered_) && now >= retry_from_ && !pulling_) pull();
     const bool blind = lacks() && !pulling_ && now >= std::max(blind_from_, retry_from_);
     const bool checks = !lacks() && !pulling_ && served && now >= check_from_;
     if (held || asked_ || !(blind || checks || (pulling_ && now >= ask_from_))) return;
     if (block_ == 0) ask_from_ = now + kPause;
     check_from_ = now + kQuiet;
     blind_from_ = now + kBlind;
-    asked_ = now;
+    asked_ = true;
+    refused_from_.reset();
+    sent_.push_back(now);
+    if (sent_.size() > kMostSent) sent_.pop_front();
     if (gone_) {
       step.request = Request{++number_, "", 0, 0};
     } else {
@@ -313,7 +357,7 @@ class MapPull {
 
   bool isSound(const std::vector<Labelled>& batches, std::uint32_t next_block) const {
     const Label& first = batches.front().label;
-    if (first.revision < std::max<std::uint64_t>(1, revision_)) return false;
+    if (first.revision == 0) return false;
     const std::uint32_t block = first.replaces ? 0 : block_;
     if (next_block != 0 && (next_block <= block || next_block >= kBlocks)) return false;
     const std::string& map_id = map_id_ ? *map_id_ : first.map_id;
@@ -328,16 +372,20 @@ class MapPull {
   bool exact_ = true;                  // nothing up to revision_ is missing
   std::uint64_t base_ = 0;             // the last revision up to which nothing was missing
   bool pulling_ = false;
-  std::uint64_t round_ = 0;      // revision of the first answer of this round
-  std::uint32_t block_ = 0;      // to ask for next; 0: a new round
-  int rounds_ = 0;               // that this pull has begun
-  std::uint64_t ended_at_ = 0;   // revision of the last answer of a round, 0 until it ends
-  std::uint64_t number_ = 0;     // of the last request
-  std::optional<double> asked_;  // when the request that awaits an answer was sent [s]
-  bool gone_ = false;            // no server has the map any more: any other is asked for
-  bool refused_ = false;         // a server answered that it lacks the map
-  bool answered_ = false;        // a server answers, even if none is known
-  double patience_ = kPatience;
+  std::uint64_t round_ = 0;     // revision of the first answer of this round
+  std::uint32_t block_ = 0;     // to ask for next; 0: a new round
+  int rounds_ = 0;              // that this pull has begun
+  std::uint64_t ended_at_ = 0;  // revision of the last answer of a round, 0 until it ends
+  std::uint64_t number_ = 0;    // of the last request
+  std::deque<double>
+      sent_;             // when the requests were sent whose answers count, the last is number_ [s]
+  bool asked_ = false;   // the last of them has some time left
+  int late_ = 0;         // requests of this pull in vain, since its last answer
+  bool silent_ = false;  // the pull is paused: nobody answers
+  bool gone_ = false;    // no server has the map any more: any other is asked for
+  std::optional<double> refused_from_;  // when a server answered that it lacks the map [s]
+  bool answered_ = false;               // a server answers, even if none is known
+  Patience patience_;
   double ask_from_ = kNever, retry_from_ = kNever, blind_from_ = kNever, check_from_ = kNever;
   std::deque<Labelled> waiting_;
   std::size_t waiting_bytes_ = 0;
