@@ -4,9 +4,19 @@ Direct alignment, from coarse to fine (Lucas and Kanade 1981; Kerl et al. 2013):
 and depths are drawn at the pose, the drawn pixels are projected into the picture from another pose,
 and Gauss-Newton steps find that pose, with a gain and a bias for each channel. Gradients are the
 means of both pictures' (Malis 2004), errors have Cauchy's weights, and steps are damped (Levenberg
-1944) by how far they move pixels, since metres and radians have no common measure. On the finest
-level, steps are Newton's, with the map's gradients alone, and errors have Tukey's biweight (Beaton
-and Tukey 1974), so that objects in front of the map don't count.
+1944) by how far they move pixels, since metres and radians have no common measure.
+
+On the finest level, errors have Tukey's biweight (Beaton and Tukey 1974), so that objects in front
+of the map don't count, and steps are Newton's: they seek where the errors no longer go with the
+map's gradients. How fast that changes is told by the products of the map's gradients and the
+picture's, as instruments and regressors (Sargan 1958), so that fine detail which only one of the
+two has adds nothing.
+
+The covariance is that of such estimates (Huber 1967). Errors of a photograph are not noise:
+neighbours err together where the map, the exposure or the lens is wrong. So tiles of the picture,
+not pixels, are taken to be independent (Liang and Zeger 1986), and the covariance of noise is
+multiplied by one factor (Kish 1965, the design effect), by how much tiles would move the pose: some
+thirty tiles can't tell the 21 numbers of a covariance.
 """
 
 from __future__ import annotations
@@ -36,16 +46,18 @@ STEPS = 10  # between two drawings of the map, at most, on all levels but the fi
 DRAWINGS, FINEST_DRAWINGS = 3, 8  # of a level, at most
 LONGEST_STEP = 2.0  # root mean square of the pixels' motion, in pixels of the level [px]
 STILL, FINEST_STILL = 0.1, 0.01  # a level ends once pixels move by less [px]
+STILL_SHARE = 0.1  # the finest also once they move by less than this, of their standard deviations
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-4, 1e4
+NEWTON_DAMPING = 1e-3
 CAUCHY = 1.5  # standard deviations, beyond which errors count less than half
 BIWEIGHT = 4.685  # standard deviations, beyond which errors don't count on the finest level
 LEAST_DEVIATION = 1 / 255
 ROUNDING = LEAST_DEVIATION**2 / 12  # variance of values of 8 bits
-LEAST_CURVATURE = 0.5  # lower bound; Gaussian errors have more
+TILES = 36  # squares of the picture whose errors are taken to be independent, about
 RIDGE = 1e-6  # keeps gain and bias where a picture of one colour doesn't determine them
 MOST_TINT = 2.0  # ratio of the largest gain of a channel to the smallest
 LEAST_EXPLAINED = 0.75  # share of the picture's variance
-MOST_UNCERTAIN = 1.0  # root mean square of pixels' standard deviations due to the pose's [px]
+MOST_UNCERTAIN = 0.01  # uncertainty of pixels by the pose's, as a share of the shorter side
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +68,9 @@ class Alignment:
     """(4, 4) rigid transform into the optical frame. [m]"""
     covariance: Array
     """(6, 6) of the camera's position [m] and its rotation about the map's axes x, y, z [rad], as
-    in PoseWithCovariance. Covers noise that is independent from pixel to pixel, not the map's own
-    errors. Infinite where the search failed."""
+    in PoseWithCovariance. By how much tiles of the picture disagree, so it covers what the map, the
+    exposure and the lens get wrong here and there, not what is wrong everywhere alike. Infinite
+    where the search failed."""
     problem: str
     """Why the pose can't be used; empty where it converged."""
     iterations: int
@@ -95,9 +108,10 @@ def align(
     while min(counts.shape) // (2 * sizes[-1]) >= COARSEST:
         sizes.append(2 * sizes[-1])
     levels = [_Level(colours, counts, camera, size, size == reduction) for size in sizes]
+    uncertain = MOST_UNCERTAIN * min(levels[0].camera.width, levels[0].camera.height)
     drawings = 0
     for begin in range(len(levels), max(len(levels) - TRIES, 0), -1):
-        search = _Search(renderer, camera, drawings)
+        search = _Search(renderer, camera, uncertain, drawings)
         for level in reversed(levels[:begin]):
             search.refine(level)
         found = search.result()
@@ -214,29 +228,63 @@ def motion(step: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Normal equations for a step: the pose's 6, as in motion(), then each channel's gain and bias.
+    """Equations for a step: the pose's 6, as in motion(), then each channel's gain and bias.
 
     All sums are weighted means over pixels and channels.
     """
 
     hessian: Array
-    """(12, 12) of half the squared errors, in Gauss-Newton's approximation."""
+    """(12, 12) change of the gradient by a step."""
     gradient: Array
     """(12,)"""
     flow: Array
     """(6, 6) step @ flow @ step is the mean square by which a step moves pixels. [px^2]"""
+    contrast: float
+    """Weighted mean square of the gradients along an axis."""
     cost: float
     deviation: float
     """Standard deviation of the errors, from their median."""
-    curvature: float
-    """The cost's over the hessian's, less than 1, as weights fall where errors grow."""
-    variance: float
-    """Of the step for a hessian of 1, as of M-estimates (Huber 1981)."""
+
+
+@dataclass(frozen=True, eq=False)
+class NewtonEquations(Equations):
+    """Equations whose solution is the pose that is sought, once they have become true."""
+
+    covariance: Array
+    """(6, 6) of the pose's step; infinite where the picture doesn't tell it."""
     explained: float
-    contrast: float
-    """Weighted mean square of the gradients along an axis."""
+    """Share of the picture's variance that the map explains."""
+
+    @property
+    def uncertain(self) -> float:
+        """Root mean square of the pixels' standard deviations due to the pose's. [px]"""
+        if not np.isfinite(self.covariance).all():
+            return math.inf
+        return math.sqrt(max(float(np.trace(self.flow @ self.covariance)), 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Errors:
+    """The map's pixels that a moved camera's picture has, and by how much the two differ."""
+
+    inside: NDArray[np.bool_]
+    points: Pixels
+    """(3, n) in the moved camera's frame. [m]"""
+    colours: Pixels
+    """(n, 3) of the map."""
+    real: Pixels
+    """(n, 10) of the picture: as _Level.values."""
+    counts: Pixels
+    """(n,) how much each pixel counts."""
+    values: Pixels
+    """(n, 3) errors."""
+    deviation: float
     weight: float
     """Sum over all channels of all pixels."""
+
+    def mean(self, values: Pixels) -> float:
+        """Of values (n, 3) of pixels, as they count."""
+        return float(np.sum(self.counts @ values, dtype=np.float64)) / self.weight
 
 
 class MapPixels:
@@ -248,7 +296,7 @@ class MapPixels:
         alphas = _means(drawn["colour"][..., 3], size)
         depths = _blocks(drawn["depth"][..., 0], size)[:, size // 2, :, size // 2]
         self._shown = np.isfinite(depths) & (alphas >= LEAST_ALPHA)
-        down, across = np.nonzero(self._shown)
+        self._places = down, across = np.array(np.nonzero(self._shown))
         z = depths[self._shown]
         x = (across + 0.5 - camera.cx) / camera.fx * z
         y = (down + 0.5 - camera.cy) / camera.fy * z
@@ -259,27 +307,92 @@ class MapPixels:
     def __len__(self) -> int:
         return len(self._alphas)
 
-    def equations(
-        self,
-        move: Array,
-        exposure: Array,
-        deviation: float = 0.0,
-        ours: float = 0.5,
-        *,
-        cut: bool = False,
-    ) -> Equations | None:
-        """Equations for a camera moved by `move` (4, 4); None for too little map in its picture.
+    def equations(self, move: Array, exposure: Array, deviation: float = 0.0) -> Equations | None:
+        """Gauss-Newton's equations for a camera moved by `move` (4, 4), for Cauchy's weights.
 
         exposure: (3, 2) gain and bias of each channel. deviation: standard deviation of the errors,
-        0 to take it from their median. ours: share of the map's gradients; the picture's have the
-        rest. cut: large errors don't count at all, by Tukey's biweight, instead of Cauchy's.
+        0 to take it from their median. None for too little map in the camera's picture.
         """
+        errors = self._errors(move, exposure, deviation)
+        if errors is None:
+            return None
+        squares = (errors.values / np.float32(CAUCHY * errors.deviation)) ** 2
+        weights = errors.counts[:, None] / (1 + squares)
+        by_pose = _flows(self._level.camera, errors.points)
+        hessian, gradient, contrast = np.zeros((12, 12)), np.zeros(12), 0.0
+        rows = np.ones((8, len(weights)), np.float32)
+        for channel in range(3):
+            slopes = [
+                (ours + theirs) / 2
+                for ours, theirs in zip(*self._slopes(errors, exposure, channel), strict=True)
+            ]
+            rows[:6] = -(by_pose[0] * slopes[0] + by_pose[1] * slopes[1])
+            rows[6] = errors.colours[:, channel]
+            weighted = rows * weights[:, channel]
+            places = _places(channel)
+            hessian[np.ix_(places, places)] += weighted @ rows.T
+            gradient[places] += weighted @ errors.values[:, channel]
+            contrast += float(weights[:, channel] @ (slopes[0] ** 2 + slopes[1] ** 2)) / 2
+        return Equations(
+            hessian=hessian / errors.weight,
+            gradient=gradient / errors.weight,
+            flow=_mean_flow(by_pose, errors),
+            contrast=contrast / errors.weight + 1e-12,
+            cost=errors.mean(np.log1p(squares)),
+            deviation=errors.deviation,
+        )
+
+    def newton_equations(self, exposure: Array) -> NewtonEquations | None:
+        """Newton's equations for the camera where it is, for Tukey's biweight.
+
+        exposure: as in equations(). None for too little map in the camera's picture.
+        """
+        errors = self._errors(np.eye(4), exposure)
+        if errors is None:
+            return None
+        counts = errors.counts
+        squares = (errors.values / np.float32(BIWEIGHT * errors.deviation)) ** 2
+        near = np.maximum(1 - squares, 0)
+        shares, curving = near**2, near * (1 - 5 * squares)
+        by_pose = _flows(self._level.camera, errors.points)
+        bread, meat, contrast = np.zeros((12, 12)), np.zeros((12, 12)), 0.0
+        tiles = _tiles(self._places)
+        by_tile = np.zeros((12, tiles.max() + 1))
+        ours, theirs = np.ones((2, 8, len(counts)), np.float32)
+        for channel in range(3):
+            of_map, of_picture = self._slopes(errors, exposure, channel)
+            ours[:6] = -(by_pose[0] * of_map[0] + by_pose[1] * of_map[1])
+            theirs[:6] = -(by_pose[0] * of_picture[0] + by_pose[1] * of_picture[1])
+            ours[6] = theirs[6] = errors.colours[:, channel]
+            weights = shares[:, channel] * counts
+            places = _places(channel)
+            bread[np.ix_(places, places)] += (ours * (curving[:, channel] * counts)) @ theirs.T
+            meat[np.ix_(places, places)] += (ours * weights) @ ours.T
+            influences = ours * (weights * errors.values[:, channel])
+            for place, influence in zip(places, influences, strict=True):
+                by_tile[place] += np.bincount(tiles, influence, by_tile.shape[1])
+            contrast += float(weights @ (of_map[0] ** 2 + of_map[1] ** 2)) / 2
+        real, full = errors.real[:, :3], errors.mean(shares)
+        noise = (errors.mean((shares * errors.values) ** 2) + ROUNDING) / full
+        spread = real - (counts @ real) / counts.sum()
+        left = errors.mean(shares * errors.values**2)
+        return NewtonEquations(
+            hessian=bread / errors.weight,
+            gradient=by_tile.sum(axis=1) / errors.weight,
+            flow=_mean_flow(by_pose, errors),
+            contrast=contrast / errors.weight + 1e-12,
+            cost=errors.mean((1 - near**3) / 3),
+            deviation=errors.deviation,
+            covariance=_covariance(bread, meat, by_tile, noise),
+            explained=1 - left / max(errors.mean(shares * spread**2), ROUNDING),
+        )
+
+    def _errors(self, move: Array, exposure: Array, deviation: float = 0.0) -> _Errors | None:
         level = self._level
         camera = level.camera
         back = np.linalg.inv(move).astype(np.float32)
         points = back[:3, :3] @ self._points + back[:3, 3:]
-        moved = (move != np.eye(4)).any()
-        if moved:
+        if (move != np.eye(4)).any():
             with np.errstate(all="ignore"):
                 u = camera.fx * points[0] / points[2] + (camera.cx - 0.5)
                 v = camera.fy * points[1] / points[2] + (camera.cy - 0.5)
@@ -296,56 +409,59 @@ class MapPixels:
         if weight < 3 * LEAST_POINTS * LEAST_ALPHA:
             return None
         colours = self._colours[inside]
-        errors = colours * exposure[:, 0].astype(np.float32) - real[:, :3]
-        errors += exposure[:, 1].astype(np.float32)
-        sizes = np.abs(errors)
-        deviation = deviation or max(1.4826 * float(np.median(sizes[counts > 0])), LEAST_DEVIATION)
-        squares = (errors / np.float32((BIWEIGHT if cut else CAUCHY) * deviation)) ** 2
-        if cut:
-            near = np.maximum(1 - squares, 0)
-            costs, shares, curving = (1 - near**3) / 3, near**2, near * (1 - 5 * squares)
-        else:
-            costs, shares = np.log1p(squares), 1 / (1 + squares)
-            curving = (1 - squares) * shares * shares
-        weights = shares * counts[:, None]
+        values = colours * exposure[:, 0].astype(np.float32) - real[:, :3]
+        values += exposure[:, 1].astype(np.float32)
+        median = float(np.median(np.abs(values[counts > 0])))
+        deviation = deviation or max(1.4826 * median, LEAST_DEVIATION)
+        return _Errors(inside, points, colours, real, counts, values, deviation, weight)
 
-        by_pose = _flows(camera, points)
-        hessian, gradient, contrast = np.zeros((12, 12)), np.zeros(12), 0.0
-        rows = np.ones((8, len(colours)), np.float32)
-        for channel in range(3):
-            slopes = [
-                ours * np.float32(exposure[channel, 0]) * mine[inside, channel]
-                + (1 - ours) * real[:, 3 * axis + 3 + channel]
-                for axis, mine in enumerate(self._gradients)
-            ]
-            rows[:6] = -(by_pose[0] * slopes[0] + by_pose[1] * slopes[1])
-            rows[6] = colours[:, channel]
-            weighted = rows * weights[:, channel]
-            places = [*range(6), 6 + 2 * channel, 7 + 2 * channel]
-            hessian[np.ix_(places, places)] += weighted @ rows.T
-            gradient[places] += weighted @ errors[:, channel]
-            contrast += float(weights[:, channel] @ (slopes[0] ** 2 + slopes[1] ** 2)) / 2
-        flow = sum(((each * counts) @ each.T).astype(np.float64) for each in by_pose)
-
-        def mean(values: Pixels) -> float:
-            return float(np.sum(counts @ values, dtype=np.float64)) / weight
-
-        full = mean(shares)
-        curvature = max(mean(curving) / full, LEAST_CURVATURE)
-        influence = mean((shares * errors) ** 2) + ROUNDING
-        spread = real[:, :3] - (counts @ real[:, :3]) / counts.sum()
-        return Equations(
-            hessian=hessian / weight,
-            gradient=gradient / weight,
-            flow=flow / (weight / 3),
-            cost=mean(costs),
-            deviation=deviation,
-            curvature=curvature,
-            variance=influence / (full * curvature**2),
-            explained=1 - mean(shares * errors**2) / max(mean(shares * spread**2), ROUNDING),
-            contrast=contrast / weight + 1e-12,
-            weight=weight,
+    def _slopes(
+        self, errors: _Errors, exposure: Array, channel: int
+    ) -> tuple[list[Pixels], list[Pixels]]:
+        """The map's gradients of a channel along x and y as the camera would have them, and the
+        picture's.
+        """
+        gain = np.float32(exposure[channel, 0])
+        return (
+            [gain * gradients[errors.inside, channel] for gradients in self._gradients],
+            [errors.real[:, 3 + channel], errors.real[:, 6 + channel]],
         )
+
+
+def _places(channel: int) -> list[int]:
+    """Among a step's 12 numbers, those that a channel's pixels depend on."""
+    return [*range(6), 6 + 2 * channel, 7 + 2 * channel]
+
+
+def _tiles(places: NDArray[np.intp]) -> NDArray[np.intp]:
+    """(n,) numbers, from 0, of the tiles of pixels at rows and columns (2, n)."""
+    side = max(math.isqrt(places.shape[1] // TILES), 1)
+    row, column = places // side
+    return np.asarray(row * (column.max() + 1) + column)
+
+
+def _covariance(bread: Array, meat: Array, by_tile: Array, noise: float) -> Array:
+    """(6, 6) of a pose's step, from sums over all pixels.
+
+    bread, meat: (12, 12). by_tile: (12, tiles) gradients. noise: variance of the errors, were they
+    independent from pixel to pixel; the least that counts.
+    """
+    used = by_tile[:, by_tile.any(axis=0)]
+    unknown, count = used.shape
+    with np.errstate(all="ignore"):
+        inverse = np.linalg.pinv(bread + np.diag(np.full(unknown, RIDGE)))[:6]
+        unit = inverse @ meat @ inverse.T
+        unit = (unit + unit.T) / 2  # symmetric to the bit
+        steps = inverse @ used  # that each tile asks for; their sum is the step
+        squares = float(np.sum(steps * (np.linalg.pinv(unit, hermitian=True) @ steps)))
+    if count <= unknown or not np.isfinite(squares):
+        return np.diag(np.full(6, np.inf))
+    return np.asarray(unit * max(squares / 6 * count / (count - unknown), noise))
+
+
+def _mean_flow(by_pose: tuple[Pixels, Pixels], errors: _Errors) -> Array:
+    flow = sum(((each * errors.counts) @ each.T).astype(np.float64) for each in by_pose)
+    return np.asarray(flow / (errors.weight / 3))
 
 
 def _flows(camera: Camera, points: Pixels) -> tuple[Pixels, Pixels]:
@@ -365,12 +481,14 @@ def _flows(camera: Camera, points: Pixels) -> tuple[Pixels, Pixels]:
 class _Search:
     """The pose as it is refined from level to level."""
 
-    def __init__(self, renderer: CpuRenderer, camera: Camera, drawings: int) -> None:
-        self._renderer, self._camera = renderer, camera
+    def __init__(
+        self, renderer: CpuRenderer, camera: Camera, most_uncertain: float, drawings: int
+    ) -> None:
+        self._renderer, self._camera, self._most_uncertain = renderer, camera, most_uncertain
         self._pose = camera.camera_to_world
         self._exposure = np.tile([1.0, 0.0], (3, 1))
         self._drawings = drawings
-        self._last: Equations | None = None  # of the finest level
+        self._last: NewtonEquations | None = None  # of the finest level
         self._problem = ""
 
     def refine(self, level: _Level) -> None:
@@ -385,7 +503,7 @@ class _Search:
                 self._problem = "the map and the picture have too little in common"
                 return
             self._problem = ""
-            if moved < (FINEST_STILL if level.finest else STILL):
+            if moved < (self._still() if level.finest else STILL):
                 return
         if level.finest:
             self._problem = f"after {self._drawings} drawings, pixels still move by {moved:.2f}"
@@ -398,13 +516,12 @@ class _Search:
     def _step(self, pixels: MapPixels) -> float | None:
         """Takes one step, after which the map must be drawn again; returns the pixels' motion. [px]
 
-        A Newton step with estimated curvature: a short one means that the minimum is near. It uses
-        the map's gradients alone, which have no noise; the covariance is that of such steps.
+        Once that is short, the minimum is near.
         """
-        self._last = pixels.equations(np.eye(4), self._exposure, ours=1.0, cut=True)
+        self._last = pixels.newton_equations(self._exposure)
         if self._last is None:
             return None
-        step, moved = _solved(self._last, DAMPING, self._last.curvature)
+        step, moved = _solved(self._last, NEWTON_DAMPING)
         self._take(step)
         return moved
 
@@ -437,15 +554,15 @@ class _Search:
         found, covariance = self._last, np.diag(np.full(6, np.inf))
         problem = self._problem
         if found and not problem:
-            covariance, uncertain = self._covariance(found)
+            covariance = self._turned(found.covariance)
             gains = self._exposure[:, 0]
             if not gains.max() <= MOST_TINT * gains.min():
                 red, green, blue = gains
                 problem = f"no exposure has gains of {red:.2f}, {green:.2f} and {blue:.2f}"
             elif found.explained < LEAST_EXPLAINED:
                 problem = f"the map explains {found.explained:.2f} of the picture's variance"
-            elif not uncertain <= MOST_UNCERTAIN:
-                problem = f"the picture tells where pixels are to {uncertain:.1f} px only"
+            elif not found.uncertain <= self._most_uncertain:
+                problem = f"the picture tells where pixels are to {found.uncertain:.1f} px only"
         gain, bias = self._exposure.T.copy()
         return Alignment(
             self._world_to_camera(),
@@ -464,19 +581,22 @@ class _Search:
         inverse[:3, 3] = -inverse[:3, :3] @ self._pose[:3, 3]
         return inverse
 
-    def _covariance(self, found: Equations) -> tuple[Array, float]:
-        """The pose's (6, 6) about the map's axes, and the pixels' uncertainty by it. [px]"""
-        hessian = found.hessian + np.diag(np.full(12, RIDGE * RIDGE))
-        of_step = np.linalg.inv(hessian)[:6, :6] * found.variance / found.weight
-        of_step = (of_step + of_step.T) / 2  # symmetric to the bit
+    def _turned(self, covariance: Array) -> Array:
+        """A step's covariance (6, 6) about the map's axes."""
+        if not np.isfinite(covariance).all():
+            return covariance
         turned = np.kron(np.eye(2), self._pose[:3, :3])
-        uncertain = math.sqrt(max(float(np.trace(found.flow @ of_step)), 0.0))
-        return turned @ of_step @ turned.T, uncertain
+        return turned @ covariance @ turned.T
+
+    def _still(self) -> float:
+        """Motion of pixels, below which the pose stands still on the finest level. [px]"""
+        uncertain = min(self._last.uncertain if self._last else 0.0, self._most_uncertain)
+        return max(STILL_SHARE * uncertain, FINEST_STILL)
 
 
-def _solved(equations: Equations, damping: float, curvature: float = 1.0) -> tuple[Array, float]:
+def _solved(equations: Equations, damping: float) -> tuple[Array, float]:
     """A step (12,) of pose and exposure, LONGEST_STEP at most, and the pixels' motion. [px]"""
-    hessian = curvature * equations.hessian
+    hessian = equations.hessian.copy()
     hessian[:6, :6] += damping * equations.contrast * equations.flow
     hessian[range(12), range(12)] += [*[0.0] * 6, *[RIDGE] * 6]
     step = np.asarray(-np.linalg.lstsq(hessian, equations.gradient, rcond=None)[0], np.float64)
