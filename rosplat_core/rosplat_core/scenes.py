@@ -16,7 +16,8 @@ GENERATED = {PROCEDURAL: "garden", ROOMS: "rooms"}
 
 NAMES = (
     ".ply, .compressed.ply, .spz, .sog, a SOG folder, lod-meta.json, .splat, .ksplat, .npz, .glb, "
-    ".gltf, .usd, .usda, .usdc, .usdz, procedural:COUNT[:SEED] or rooms:COUNT[:SEED]"
+    ".gltf, .usd, .usda, .usdc, .usdz, a folder of tiles, a trainer's folder, "
+    "procedural:COUNT[:SEED] or rooms:COUNT[:SEED]"
 )
 
 

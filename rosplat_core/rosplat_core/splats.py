@@ -53,6 +53,8 @@ class Splats:
     """(3,) added to each position in float64. [m]"""
     antialiased: bool = False
     """Trained with opacity compensation for the 2D low-pass filter (Mip-Splatting)."""
+    up: tuple[float, float, float] | None = None
+    """The vertical, a unit vector in these coordinates; None where nobody told it."""
     channels: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     """(n,) values by name that the splats carry, e.g. "label"; not finite where there is none."""
 
@@ -129,6 +131,8 @@ class Splats:
             object.__setattr__(self, name, array)
         if not np.isfinite(self.origin).all():
             raise ValueError(f"Splats.origin: not finite: {self.origin.tolist()}")
+        if self.up is not None:
+            object.__setattr__(self, "up", _unit(self.up))
         joined((), tuple(self.channels))
         channels = {
             name: np.ascontiguousarray(values, np.float32) for name, values in self.channels.items()
@@ -207,6 +211,7 @@ class Splats:
             orientations=product(from_matrices(rotation), self.orientations).astype(np.float32),
             sh=harmonics.turned(self.sh, rotation),
             origin=rotation @ self.origin + pose[:3, 3],
+            up=None if self.up is None else tuple(rotation @ self.up),
         )
 
 
@@ -224,6 +229,7 @@ class PackedSplats:
     origin: NDArray[np.float64]
     antialiased: bool
     channels: Mapping[str, NDArray[np.float32]]
+    up: tuple[float, float, float] | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -241,6 +247,16 @@ def _shaped(name: str, array: ArrayLike, *shapes: tuple[int, ...]) -> NDArray[np
         known = " or ".join(map(str, shapes))
         raise ValueError(f"{name}: expected shape {known}, got {values.shape}")
     return values
+
+
+def _unit(up: ArrayLike) -> tuple[float, float, float]:
+    """A vertical of any length as a unit vector. Raises ValueError for none."""
+    vector = np.asarray(up, np.float64)
+    length = np.linalg.norm(vector)
+    if vector.shape != (3,) or not 0 < length < np.inf:
+        raise ValueError(f"Splats.up: expected three numbers, not all 0, got {up!r}")
+    x, y, z = (vector / length).tolist()
+    return (x, y, z)
 
 
 def _host(array: ArrayLike) -> NDArray[np.floating[Any]]:
@@ -283,8 +299,9 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
     """Joins sets of splats, in order; the result has the highest degree.
 
     Parts of one origin keep it and all of their bits; else most of the splats have a say in a new
-    one. Where a part lacks a channel, its splats have NaN. Raises ValueError without any part, when
-    only some parts are antialiased, or for more channels than a map can have.
+    one. The vertical is that of all parts, or unknown. Where a part lacks a channel, its splats
+    have NaN. Raises ValueError without any part, when only some parts are antialiased, or for more
+    channels than a map can have.
     """
     if not parts:
         raise ValueError("nothing to concatenate")
@@ -302,5 +319,6 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
         scales=np.concatenate([p.scales for p in parts]),
         opacities=np.concatenate([p.opacities for p in parts]),
         sh=np.concatenate([p.with_sh_degree(degree).sh for p in parts]),
+        up=first.up if all(part.up == first.up for part in parts) else None,
         channels={name: np.concatenate([p.channel(name) for p in parts]) for name in names},
     )

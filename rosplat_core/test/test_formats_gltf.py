@@ -48,7 +48,7 @@ def changed(random_splats: Make, tmp_path: Path) -> Callable[[Change], Path]:
     """A .glb of 20 splats of degree 1 whose JSON somebody changed."""
 
     def make(change: Change) -> Path:
-        save(tmp_path / "whole.glb", random_splats(20, 1))
+        save(tmp_path / "whole.glb", random_splats(20, 1), overwrite=True)
         asset, buffer = parts(tmp_path / "whole.glb")
         change(asset)
         return write(tmp_path / "a.glb", asset, buffer)

@@ -304,7 +304,10 @@ def test_no_scene_at_all(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("not a scene")
     os.mkfifo(tmp_path / "pipe.ply")
     for path, reason in [
-        ("notes.txt", r"not a scene .* \(compressed PLY, PLY, SPZ, .*SOG, \.splat, \.ksplat\)"),
+        (
+            "notes.txt",
+            r"not a scene .* \(compressed PLY, PLY, SPZ, .*SOG, .*tiles\)",
+        ),
         ("pipe.ply", "not a file"),
         ("a\0b.ply", "no name of a file"),
         ("n" * 300, "File name too long"),

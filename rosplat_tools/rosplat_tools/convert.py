@@ -11,7 +11,7 @@ from rosplat_core.formats import SUFFIXES, SceneError, axes, check_output, load,
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
 from rosplat_core.round_trip import report
-from rosplat_core.scenes import NAMES, load_scene, vertical
+from rosplat_core.scenes import NAMES, load_scene
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -39,8 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
             splats = load_scene(options.input, progress, warn)
         if options.sh_degree is not None:
             splats = splats.with_sh_degree(min(options.sh_degree, splats.sh_degree))
-        up = vertical(options.input)
-        written = save(options.output, splats, up)
+        written = save(options.output, splats, overwrite=options.overwrite)
         with watched("reading back") as progress:
             back = load(options.output, progress, warn)
         read_as = axes(options.output)
@@ -52,7 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     say(f"{options.output}: {len(back):,} splats, SH degree {back.sh_degree}")
     say(errors)
-    if read_as.up not in (None, up):
+    if read_as.up not in (None, splats.up):
         warn(f"programs that read {options.output} take its axes for {read_as.text}")
     return 0
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 
-from rosplat_core.cameras import UP
 from rosplat_core.formats import SUFFIXES, SceneError, check_output, save
 from rosplat_core.generated import SCENES, generate
 from rosplat_core.program.output import say, told
@@ -36,7 +35,7 @@ def main(arguments: list[str] | None = None) -> int:
             splats = generate(
                 options.count, options.seed, options.sh_degree, progress, options.scene
             )
-        save(options.output, splats, UP)
+        save(options.output, splats, overwrite=options.overwrite)
     except (SceneError, MemoryError) as error:
         print(f"generate: {told(error)}", file=sys.stderr)
         return 1

@@ -10,11 +10,11 @@ import numpy as np
 
 from rosplat_core.cameras import UP, orbit, place
 from rosplat_core.depth import LEAST_ALPHA
-from rosplat_core.formats import SceneError, axes, format_of, gltf, streamed_sog
+from rosplat_core.formats import SceneError, axes, format_of, gltf, scene_file, streamed_sog
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
 from rosplat_core.rendering import CpuRenderer, posed, psnr_of
-from rosplat_core.scenes import NAMES, is_generated, read_scene, vertical
+from rosplat_core.scenes import NAMES, is_generated, read_scene
 from rosplat_core.splats import Splats
 
 VIEWS = 8  # in which two orders of drawing are compared
@@ -56,14 +56,14 @@ def describe(path: str | Path) -> str:
         for name, values in (("scale [m]", splats.scales), ("opacity", splats.opacities)):
             rows[name] = " ".join(f"{v:9.3g}" for v in np.quantile(values, QUANTILES))
     if left_out:
-        rows["left out"] = "; ".join(left_out)
+        rows["note"] = "; ".join(left_out)
     return "\n".join(f"{name:<12} {value}" for name, value in rows.items())
 
 
 def _format(name: str) -> str:
     if is_generated(name):
         return "made by generate"
-    path = Path(name)
+    path = scene_file(name)
     return f"{format_of(path).NAME}, {_bytes(_file_size(path))}"
 
 
@@ -74,7 +74,7 @@ def _drawn(name: str, splats: Splats) -> dict[str, str]:
         return {}
     # alpha at 3 sigma: opacity exp(-9 / 2)
     beyond = np.count_nonzero(splats.opacities * np.exp(-4.5) > LEAST_ALPHA) / len(splats)
-    psnr = order_costs(splats, vertical(name) or UP)
+    psnr = order_costs(splats, splats.up or UP)
     return {
         "drawn": f"elsewhere {rule}; here by depth, cut at an alpha of 1/255",
         "cut": f"{100 * beyond:.3g} % of the splats reach beyond 3 sigma",

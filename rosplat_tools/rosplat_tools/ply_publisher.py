@@ -6,6 +6,7 @@ import contextlib
 import threading
 import time
 from concurrent.futures import CancelledError, Future, InvalidStateError, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
@@ -15,7 +16,7 @@ from rosplat_core import formats
 from rosplat_core.log_text import shown
 from rosplat_core.program.output import told
 from rosplat_core.program.progress import bar
-from rosplat_core.scenes import NAMES, is_generated, load_scene_into, vertical
+from rosplat_core.scenes import NAMES, is_generated, load_scene_into
 from rosplat_core.splats import PackedSplats, SceneError
 from rosplat_msgs.srv import LoadScene, SaveMap
 from rosplat_ros.map_publisher import MapPublisher
@@ -40,7 +41,7 @@ class PlyPublisher(Node):
         self._answer: Future[str] = (
             Future()
         )  # to the newest request; can be cancelled while it reads
-        self._up: tuple[float, float, float] | None = None  # of the map, if its format fixes it
+        self._up: tuple[float, float, float] | None = None  # of the map, where it is known
         super().__init__("ply_publisher")
         self.path = declare_path(
             self, "path", "", f"Scene to publish: {NAMES}; empty: wait for ~/load."
@@ -104,7 +105,6 @@ class PlyPublisher(Node):
         start = time.monotonic()
         self._go_on(answer)  # cancelled, maybe, while it waited
         splats = self._read(answer, path)
-        up = vertical(path)
         if not answer.set_running_or_notify_cancel():
             raise Cancelled
         with bar("publishing", len(splats)) as drawn:
@@ -113,7 +113,7 @@ class PlyPublisher(Node):
                 self._go_on(answer)
                 drawn.update(count)
 
-            before, self._up = self._up, up  # a save may come while the map is sent
+            before, self._up = self._up, splats.up  # a save may come while the map is sent
             try:
                 self._map.replace(splats, progress=published)
             except MemoryError as error:
@@ -169,11 +169,10 @@ class PlyPublisher(Node):
     def _on_save(self, request: SaveMap.Request, response: SaveMap.Response) -> SaveMap.Response:
         try:
             check_below("save_root", self._save_root, request.path)
-            if Path(request.path).exists() and not request.overwrite:
-                raise SceneError(f"{request.path}: exists already; set overwrite to replace it")
             _, splats = self._map.snapshot()
             Path(request.path).parent.mkdir(exist_ok=True)
-            formats.save(request.path, splats, self._up)
+            splats = replace(splats, up=self._up)
+            formats.save(request.path, splats, overwrite=request.overwrite)
             response.splats = len(splats)
             response.message = f"{request.path}: {len(splats):,} splats"
             response.success = True

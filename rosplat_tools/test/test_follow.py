@@ -26,7 +26,7 @@ def test_a_file_is_shown_each_time_it_was_written(
     start("follow", path=path, period=0.05)
     for count in (500, 800):
         splats = random_splats(count, 1, seed=count)
-        formats.save(path, splats)
+        formats.save(path, splats, overwrite=True)
         listener.wait_for(count)
         _, shown = listener.map.snapshot()
         np.testing.assert_allclose(np.sort(shown.opacities), np.sort(splats.opacities), atol=1e-5)

@@ -36,14 +36,14 @@ def test_a_report(random_splats: Make, tmp_path: Path) -> None:
     assert report["from"].startswith("-2 ")
     assert report["to"].startswith("5 ")
     assert report["scale [m]"].split()[-1] == "0.5"
-    assert "left out" not in report
+    assert "note" not in report
 
 
 def test_what_is_left_out_is_told(random_splats: Make, tmp_path: Path) -> None:
     splats = random_splats(10)
     splats.sh[4, 2, 1] = np.nan
     save(tmp_path / "a.ply", splats)
-    assert "dropped 1 of 10" in rows(describe(tmp_path / "a.ply"))["left out"]
+    assert "dropped 1 of 10" in rows(describe(tmp_path / "a.ply"))["note"]
 
 
 def test_channels_are_named(random_splats: Make, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Scene files of 3D Gaussians: one format, one module, told apart by what a file begins with.
 
-A format without such a signature is told by the path's ending.
+A format without such a signature is told by the path's ending. A model's folder stands for its
+newest file.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 
 from rosplat_core.formats import (
     compressed_ply,
+    folders,
     gltf,
     ksplat,
     ply,
@@ -24,6 +26,7 @@ from rosplat_core.formats import (
     splat,
     splatam,
     spz,
+    strangers,
     streamed_sog,
     usd,
 )
@@ -39,6 +42,7 @@ from rosplat_core.formats.decoded import (
     Warn,
 )
 from rosplat_core.program.files import replacing
+from rosplat_core.program.progress import watched
 from rosplat_core.slot_order import space_order
 from rosplat_core.splats import SceneError, Splats
 
@@ -59,6 +63,7 @@ __all__ = [
     "load",
     "load_into",
     "save",
+    "scene_file",
 ]
 
 _log = logging.getLogger(__name__)
@@ -67,8 +72,8 @@ _log = logging.getLogger(__name__)
 # has SUFFIXES and write(stream, path, splats): path, which stream will replace, tells the ending
 # and is named in errors. Optional: axes(path) (if not AS_TRAINED), IN_SPACE_ORDER (it packs
 # neighbours), FINITE (it has no other numbers), KEEPS_CHANNELS, KEEPS_ORIGIN (splats may lie far
-# from 0), TELLS_UP (write takes the vertical, too), require(path) (raises where a package is
-# missing), DRAWN (how the format has its splats drawn, if otherwise).
+# from 0), require(path) (raises where a package is missing), DRAWN (how the format has its splats
+# drawn, if otherwise).
 FORMATS: tuple[ModuleType, ...] = (
     compressed_ply,
     ply,
@@ -80,6 +85,7 @@ FORMATS: tuple[ModuleType, ...] = (
     sog,
     splat,
     ksplat,
+    folders,
 )
 
 # Endings that can be written, for the user.
@@ -90,25 +96,36 @@ HEAD = 1 << 16  # what a module may see of a file's beginning [bytes]
 
 def format_of(path: str | Path) -> ModuleType:
     """The module that reads a file or folder. Raises SceneError when none does."""
-    path = Path(path)
+    path = scene_file(path)
     with _told(path):
         head = b""
         if not path.is_dir():
             size_of(path)  # refuses a pipe, on which open() would wait
             with path.open("rb") as file:
                 head = file.read(HEAD)
-        for module in FORMATS:
+        what = strangers.impostor(head)
+        for module in FORMATS if not what else ():
             if module.recognises(path, head):
                 return module
+        what = what or strangers.stranger(path, head)
+    if what:
+        raise SceneError(f"{path}: {what}")
     if not head and path.is_file():
         raise SceneError(f"{path}: is empty")
     names = ", ".join(module.NAME for module in FORMATS)
     raise SceneError(f"{path}: not a scene of 3D Gaussians that can be read ({names})")
 
 
+def scene_file(path: str | Path) -> Path:
+    """The newest file of a model's folder; any other path itself."""
+    path = Path(path)
+    with _told(path):
+        return folders.newest(path)[0]
+
+
 def axes(path: str | Path) -> Axes:
     """Where the axes of a scene's coordinates point. Raises SceneError as load does."""
-    path = Path(path)
+    path = scene_file(path)
     module = format_of(path)
     with _told(path):
         found: Axes = module.axes(path) if hasattr(module, "axes") else AS_TRAINED
@@ -117,27 +134,34 @@ def axes(path: str | Path) -> Axes:
 
 def load(
     path: str | Path,
-    progress: Progress = lambda fraction: None,
+    progress: Progress | None = None,
     warn: Warn = _log.warning,
 ) -> Splats:
     """Reads a scene in the file's own coordinates; nothing is flipped or scaled.
 
-    progress is called with 0 to 1 while it reads. warn is called with a sentence about whatever
-    had to be left out, such as splats that are not finite. Raises SceneError for a file that can't
-    be read whole: it names the file and what is wrong with it.
+    progress is called with 0 to 1 while it reads; by default, a terminal shows a bar. warn is
+    called with a sentence about whatever had to be left out, such as splats that are not finite,
+    and with which file of a folder is read. Raises SceneError for a file that can't be read whole:
+    it names the file and what is wrong with it.
     """
-    return load_into(IntoSplats(), path, progress, warn)
+    if progress is not None:
+        return load_into(IntoSplats(), path, progress, warn)
+    with watched("reading") as shown:
+        return load_into(IntoSplats(), path, shown, warn)
 
 
 def load_into(into: Into[Made], path: str | Path, progress: Progress, warn: Warn) -> Made:
     """As load, with splats of the kind that `into` makes."""
-    path = Path(path)
-    module = format_of(path)
+    with _told(Path(path)):
+        file, candidates = folders.newest(Path(path))
+    if file != Path(path):
+        warn(f"{path}: {file.relative_to(path)} is read, the newest of {candidates}")
+    module = format_of(file)
     # A number that overflows is not finite in the end, and is dropped with its splat.
-    with _told(path), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        made: Made = module.read(path, progress, warn, into)
+    with _told(file), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        made: Made = module.read(file, progress, warn, into)
     progress(1.0)
-    return made
+    return replace(made, up=axes(file).up)
 
 
 def check_output(path: str | Path, overwrite: bool = False) -> None:
@@ -161,19 +185,20 @@ def check_output(path: str | Path, overwrite: bool = False) -> None:
     if exists and not path.is_file():
         raise SceneError(f"{path}: is no file that could be replaced")
     if exists and not overwrite:
-        raise SceneError(f"{path}: exists already (--overwrite replaces it)")
+        raise SceneError(f"{path}: exists already; overwrite replaces it")
 
 
-def save(path: str | Path, splats: Splats, up: tuple[float, float, float] | None = None) -> Splats:
-    """Writes a scene; the path's ending chooses the format. Replaces a file that exists, whole.
+def save(path: str | Path, splats: Splats, *, overwrite: bool = False) -> Splats:
+    """Writes a scene; the path's ending chooses the format.
 
-    up: the vertical of the splats' coordinates, where it is known, for formats that tell it.
-    Returns the splats in the order of the file: formats that pack neighbours put them in space
-    order; channels that a format has no place for are left out, with a warning in the log. Raises
-    SceneError for an ending that can't be written, splats that a format has no way to write, a
-    place that can't be written to, or too little memory.
+    overwrite: replace a file that exists, whole; else it is an error. Formats that have a place for
+    the vertical keep it. Returns the splats in the order of the file: formats that pack neighbours
+    put them in space order; channels that a format has no place for are left out, with a warning in
+    the log. Raises SceneError for an ending that can't be written, splats that a format has no way
+    to write, a place that can't be written to, or too little memory.
     """
     path = Path(path)
+    check_output(path, overwrite)
     writer = _writer(path)
     if splats.channels and not getattr(writer, "KEEPS_CHANNELS", False):
         _log.warning(
@@ -188,14 +213,13 @@ def save(path: str | Path, splats: Splats, up: tuple[float, float, float] | None
             _require_finite(path, splats)
         if packs:
             splats = splats[space_order(splats.positions)]
-        more = {"up": up} if getattr(writer, "TELLS_UP", False) else {}
         # A number beyond a format's range becomes its largest.
         with (
             replacing(path) as partial,
             partial.open("wb") as stream,
             np.errstate(over="ignore"),
         ):
-            writer.write(stream, path, splats, **more)
+            writer.write(stream, path, splats)
     return splats
 
 

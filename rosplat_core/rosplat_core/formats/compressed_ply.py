@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 
 from rosplat_core.formats.bounds import claim, size_of
 from rosplat_core.formats.decoded import BLOCK, Floats, Into, Made, Progress, Warn, blocks
-from rosplat_core.formats.ply import ANTIALIASED, antialiased, rest_names
+from rosplat_core.formats.ply import antialiased, comments_of, rest_names
+from rosplat_core.formats.ply import axes as axes  # of the comment, too
 from rosplat_core.formats.ply_file import PlyFile, header
 from rosplat_core.formats.quantised import largest_restored, smallest_three, to_bytes
 from rosplat_core.harmonics import C0 as SH_C0
@@ -78,7 +79,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     rest, bands = None, 0
     if "sh" in file.elements:
         rest = file.rows("sh")
-        names = rest_names(path, rest)
+        names = rest_names(path, rest, warn)
         bands = len(names) // 3
         if len(rest) != n or any(rest.dtype[name] != np.dtype("u1") for name in names):
             raise SceneError(f"{path}: element sh: expected bytes, for {n:,} splats")
@@ -131,7 +132,7 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
     }
     if bands:
         elements["sh"] = (n, np.dtype([(f"f_rest_{i}", "u1") for i in range(3 * bands)]))
-    stream.write(header(elements, [ANTIALIASED] if splats.antialiased else []))
+    stream.write(header(elements, comments_of(splats)))
     stream.write(ranges.data)
     stream.write(packed.data)
     for part in blocks(n if bands else 0):

@@ -141,13 +141,20 @@ class Into(ABC, Generic[Made]):
         kept = self._usable if drops else slice(None)
         return self._made(kept, antialiased, {name: each[kept] for name, each in channels.items()})
 
-    def make(self, path: Path, warn: Warn, columns: Columns, antialiased: bool = False) -> Made:
+    def make(
+        self,
+        path: Path,
+        warn: Warn,
+        columns: Columns,
+        antialiased: bool = False,
+        channels: Mapping[str, Floats] = MappingProxyType({}),
+    ) -> Made:
         """As blocks and made, for all numbers at once. Takes over the arrays."""
         n, k = columns.sh.shape[:2]
         self._begin(n, k, columns)
         for part in blocks(n):
             self._take(part, columns.part(part))
-        return self.made(path, warn, antialiased)
+        return self.made(path, warn, antialiased, channels)
 
     def _begin(self, n: int, k: int, columns: Columns | None = None) -> None:
         """columns: all numbers, if they are there already."""

@@ -3,10 +3,16 @@
 x y z, f_dc_0..2, f_rest_* (channel-major), opacity as logit, scale_* as logarithm, rot_0..3 with w
 first. Read in any order of properties, of any numeric type, in text or binary of either byte order.
 Further properties are channels, a trainer's label say.
+
+Descendants write less, or otherwise: one scale for spheres (MonoGS), two for discs (2DGS); red
+green blue for f_dc_* (nerfstudio); more bands than three; half floats, some as 16-bit integers; the
+vertical in a comment (Brush, nerfstudio).
 """
 
 from __future__ import annotations
 
+import math
+import re
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -17,9 +23,20 @@ from numpy.typing import NDArray
 from rosplat_core.channels import MOST as MOST_CHANNELS
 from rosplat_core.channels import is_name
 from rosplat_core.formats.bounds import claim, size_of
-from rosplat_core.formats.decoded import Floats, Into, Made, Progress, Warn, blocks, share
-from rosplat_core.formats.ply_file import PlyFile, Rows, header
+from rosplat_core.formats.decoded import (
+    AS_TRAINED,
+    Axes,
+    Floats,
+    Into,
+    Made,
+    Progress,
+    Warn,
+    blocks,
+    share,
+)
+from rosplat_core.formats.ply_file import Element, PlyFile, Rows, header
 from rosplat_core.formats.quantised import sigmoid
+from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
 NAME = "PLY"
@@ -33,14 +50,26 @@ COLOR = ["f_dc_0", "f_dc_1", "f_dc_2"]
 SCALE = ["scale_0", "scale_1", "scale_2"]
 ROTATION = ["rot_0", "rot_1", "rot_2", "rot_3"]
 
+# Colours in place of COLOR; beside it, they are for viewers of points.
+RGB = (["red", "green", "blue"], ["r", "g", "b"])
+
 # Brush's comment for models trained as Mip-Splatting; splat-transform reads and writes it too.
 ANTIALIASED = "SplatRenderMode: mip"
+
+# Brush's and nerfstudio's comment on the vertical: a letter, or three numbers.
+VERTICAL = "Vertical axis:"
+_VERTICAL = re.compile(r"(?:vertical|up)[ _]axis[:=\s]+(.*)", re.IGNORECASE)
 
 # Mip-Splatting's own PLYs hold its 3D smoothing filter apart, still to be applied. [m]
 FILTER = "filter_3D"
 
-# Some programs write these beside f_dc_*, for viewers of points.
-POINT_COLOR = ["red", "green", "blue", "alpha"]
+# Of Scaffold-GS, whose anchors only its networks can turn into splats.
+ANCHOR = "f_anchor_feat_0"
+
+HIGHEST_DEGREE = 10  # of harmonics
+
+HALVES = ("f2", "u2", "i2")  # types that half floats are written as
+BRIGHTEST = 2.0  # of colours from 0 to 1, with what a trainer overshoots
 
 PARSING = 0.9  # share of the time to read a text PLY
 
@@ -52,11 +81,21 @@ def recognises(path: Path, head: bytes) -> bool:
     return head[:4] in (b"ply\n", b"ply\r")
 
 
+def axes(path: Path) -> Axes:
+    """Where a file's axes point, if a comment tells the vertical."""
+    up = vertical(PlyFile(path).comments)
+    if up is None:
+        return AS_TRAINED
+    return Axes(f"{' '.join(f'{x:g}' for x in up)} is up (by the file's comment)", up)
+
+
 def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads the vertices of a PLY as splats; see from_rows."""
     file = PlyFile(path)
     if "vertex" not in file.elements:
         raise SceneError(f"{path}: not a Gaussian splat: no element vertex")
+    if not file.is_text:
+        file.elements["vertex"] = _with_halves(file.elements["vertex"])
     claim(path, file.elements["vertex"].length, 0, size_of(path))
     parsing = PARSING if file.is_text else 0.0
     rows = file.rows("vertex", share(progress, 0, parsing))
@@ -72,31 +111,42 @@ def from_rows(
     into: Into[Made],
     antialiased: bool = False,
 ) -> Made:
-    """Splats from rows with a PLY's properties; without scale_2 (2D Gaussians) they are flat.
+    """Splats from rows with a PLY's properties.
 
-    Mip-Splatting's 3D filter is applied, as its create_fused_ply.py does. path is for errors to
-    name. Raises SceneError where a property is missing.
+    Those without scale_2 (2D Gaussians) are flat, those with scale_0 alone are spheres. Bands above
+    the third are left out. Mip-Splatting's 3D filter is applied, as its create_fused_ply.py does.
+    path is for errors to name. Raises SceneError where a property is missing.
     """
+    have = rows.dtype.names or ()
+    if ANCHOR in have:
+        raise SceneError(f"{path}: anchors of Scaffold-GS, whose networks make splats of them")
+    count = 3 if SCALE[2] in have else 2 if SCALE[1] in have else 1
+    scale: list[str] = SCALE[:count]
+    rotation: list[str] = [] if count == 1 and ROTATION[0] not in have else ROTATION
+    color: list[str] = _color_names(rows)
+    filters: list[str] = [FILTER] if FILTER in have else []
+    _require_numbers(path, rows, [*POSITION, "opacity", *color, *scale, *rotation, *filters])
     channels = _channels(path, rows, warn)
-    has_third_scale = SCALE[2] in (rows.dtype.names or ())
-    scale: list[str] = SCALE if has_third_scale else SCALE[:2]
-    rest = rest_names(path, rows)
-    filters: list[str] = [FILTER] if FILTER in (rows.dtype.names or ()) else []
-    _require_numbers(path, rows, [*POSITION, "opacity", *COLOR, *scale, *ROTATION, *filters])
+    rest = rest_names(path, rows, warn)
+    white = None if color is COLOR else _white(rows, color)
 
     n, k = len(rows), 1 + len(rest) // 3
     for part, (positions, orientations, scales, opacities, sh) in into.blocks(n, k, progress):
         block = rows[part]
         positions[:] = _columns(block, POSITION, np.float64)
-        orientations[:] = np.roll(_columns(block, ROTATION), -1, axis=1)  # w first -> last
-        scales[:, : len(scale)] = np.exp(_columns(block, scale))
+        if rotation:
+            orientations[:] = np.roll(_columns(block, rotation), -1, axis=1)  # w first -> last
+        else:
+            orientations[:] = 0, 0, 0, 1
+        sides = scales[:, :2] if count == 2 else scales
+        sides[:] = np.exp(_columns(block, scale))
         opacities[:] = sigmoid(_columns(block, ["opacity"])[:, 0])
         if filters:
-            before, width = scales[:, : len(scale)], _columns(block, filters)
-            after = np.hypot(before, width)
-            opacities *= (before / np.maximum(after, TINY)).prod(axis=1)
-            scales[:, : len(scale)] = after
-        sh[:, 0] = _columns(block, COLOR)
+            after = np.hypot(sides, _columns(block, filters))
+            opacities *= (sides / np.maximum(after, TINY)).prod(axis=1)
+            sides[:] = after
+        dc = _columns(block, color)
+        sh[:, 0] = dc if white is None else (dc / np.float32(white) - 0.5) / SH_C0
         if rest:
             by_channel = _columns(block, rest).reshape(len(block), 3, k - 1)
             sh[:, 1:] = by_channel.transpose(0, 2, 1)
@@ -115,7 +165,7 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
     for name in splats.channels:
         if _has_meaning(name):
             raise SceneError(f"{path}: channel '{name}': a PLY has a property of that name")
-    comments = [ANTIALIASED] if splats.antialiased else []
+    comments = comments_of(splats)
     layout = _rows(splats[:0]).dtype
     stream.write(header({"vertex": (len(splats), layout)}, comments))
     for part in blocks(len(splats)):
@@ -145,18 +195,85 @@ def _rows(splats: Splats) -> NDArray[np.void]:
 
 def _has_meaning(name: str) -> bool:
     """Whether a property of this name has a meaning, and so is no channel."""
-    known = [*POSITION, *NORMAL, *COLOR, "opacity", *SCALE, *ROTATION, FILTER, *POINT_COLOR]
+    known = [*POSITION, *NORMAL, *COLOR, "opacity", *SCALE, *ROTATION, FILTER, *RGB[0], "alpha"]
     return name in known or name.startswith("f_rest_")
 
 
 def _channels(path: Path, rows: Rows, warn: Warn) -> dict[str, Floats]:
     """Room (n,) for each channel: the first properties without a meaning, MOST_CHANNELS at most."""
-    further = [name for name in rows.dtype.names or () if not _has_meaning(name)]
+    used = _color_names(rows)
+    further = [n for n in rows.dtype.names or () if not _has_meaning(n) and n not in used]
     kept = [name for name in further if is_name(name)][:MOST_CHANNELS]
     if len(kept) < len(further):
         left = len(further) - len(kept)
         warn(f"{path}: left out {left} properties: a map has {MOST_CHANNELS} channels of ASCII")
     return {name: np.empty(len(rows), np.float32) for name in kept}
+
+
+def _with_halves(element: Element) -> Element:
+    """Has 16-bit integers read as half floats, where even positions are such: some write them so.
+
+    Channels stay integers.
+    """
+    dtype = element.dtype
+    if any(name not in (dtype.names or ()) or dtype[name].str[1:] not in HALVES for name in "xyz"):
+        return element
+    used = [n for n in dtype.names or () if _has_meaning(n) and dtype[n].str[1:] in HALVES]
+    halves = {name: dtype[name].str[0] + "f2" for name in used}
+    columns = [(name, halves.get(name, dtype[name].str)) for name in dtype.names or ()]
+    return element._replace(dtype=np.dtype(columns))
+
+
+def _color_names(rows: Rows) -> list[str]:
+    """The properties that colours are in."""
+    have = rows.dtype.names or ()
+    return next((names for names in (COLOR, *RGB) if names[0] in have), COLOR)
+
+
+def _white(rows: Rows, names: list[str]) -> float:
+    """The number that full red, green or blue has: by type, or of floats by the largest."""
+    kind = rows.dtype[names[0]]
+    if kind.kind in "iu":
+        return 65535.0 if kind.itemsize == 2 else 255.0
+    parts = (_columns(rows[part], names) for part in blocks(len(rows)))
+    largest = max((np.fmax.reduce(part, axis=None) for part in parts), default=0)
+    return 255.0 if largest > BRIGHTEST else 1.0
+
+
+def comments_of(splats: Splats) -> list[str]:
+    """What comments say of splats, for `vertical` and `antialiased` to read."""
+    told = [ANTIALIASED] if splats.antialiased else []
+    if splats.up is not None:
+        told.append(f"{VERTICAL} {' '.join(f'{x:.9g}' for x in splats.up)}")
+    return told
+
+
+def vertical(comments: list[str]) -> tuple[float, float, float] | None:
+    """The unit vector that points up, as comments tell it; the last of them counts.
+
+    Where Brush writes y or z, its viewer has that axis point down.
+    """
+    down = any("brush" in comment.lower() for comment in comments)
+    up = None
+    for comment in comments:
+        if match := _VERTICAL.match(comment):
+            up = _direction(match[1].lower(), down) or up
+    return up
+
+
+def _direction(text: str, down: bool) -> tuple[float, float, float] | None:
+    """A letter with or without a sign, or three numbers, as a unit vector. down: of y and z."""
+    if match := re.match(r"([-+]?)([xyz])\b", text):
+        sign, axis = match.groups()
+        length = -1.0 if sign == "-" or (not sign and down and axis != "x") else 1.0
+        x, y, z = (length if axis == name else 0.0 for name in "xyz")
+        return (x, y, z)
+    try:
+        x, y, z = (float(word) for word in re.split(r"[\s,;()\[\]]+", text.strip(" ()[]"))[:3])
+    except ValueError:
+        return None
+    length = math.hypot(x, y, z)
+    return (x / length, y / length, z / length) if 0 < length < math.inf else None
 
 
 def antialiased(comments: list[str]) -> bool:
@@ -169,15 +286,21 @@ def antialiased(comments: list[str]) -> bool:
     return found
 
 
-def rest_names(path: Path, rows: Rows) -> list[str]:
-    """Names of the f_rest properties in order of their number. Raises SceneError for a gap."""
+def rest_names(path: Path, rows: Rows, warn: Warn) -> list[str]:
+    """Names of the f_rest properties that a map has room for, channel by channel.
+
+    Tells warn of bands that are left out. Raises SceneError for a gap.
+    """
     count = sum(name.startswith("f_rest_") for name in rows.dtype.names or ())
-    counts = [3 * (sh_coefficients(degree) - 1) for degree in range(MAX_SH_DEGREE + 1)]
+    counts = [3 * (sh_coefficients(degree) - 1) for degree in range(HIGHEST_DEGREE + 1)]
     if count not in counts:
         raise SceneError(f"{path}: {count} properties f_rest_*, expected one of {counts}")
-    names = [f"f_rest_{i}" for i in range(count)]
-    _require_numbers(path, rows, names)
-    return names
+    _require_numbers(path, rows, [f"f_rest_{i}" for i in range(count)])
+    degree, each = counts.index(count), count // 3
+    kept = min(each, sh_coefficients(MAX_SH_DEGREE) - 1)
+    if kept < each:
+        warn(f"{path}: spherical harmonics above band {MAX_SH_DEGREE} left out, of {degree} bands")
+    return [f"f_rest_{channel * each + i}" for channel in range(3) for i in range(kept)]
 
 
 def _require_numbers(path: Path, rows: Rows, names: list[str]) -> None:

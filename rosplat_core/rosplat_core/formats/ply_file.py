@@ -29,7 +29,12 @@ TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
     "float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
+    "half": "f2", "float16": "f2", "int64": "i8", "uint64": "u8",  # of no standard
 }  # fmt: skip
+
+# What Windows' printf writes of no number: -nan(ind), nan(snan), -1.#IND, 1.#QNAN, 1.#INF
+_NAN = re.compile(r"[-+]?nan\([^)\s]*\)|[-+]?1\.#(?:IND|QNAN|SNAN)\S*", re.IGNORECASE)
+_INFINITY = re.compile(r"1\.#INF\S*", re.IGNORECASE)
 
 
 Rows = NDArray[np.void] | FileRows
@@ -58,12 +63,12 @@ class PlyFile:
         # All lines end as the first does.
         match = re.match(rb"ply(\r\n|\r|\n)(?:.*?\1)??end_header(?:\1|$)", head, re.DOTALL)
         if not match:
-            raise SceneError(f"{path}: broken PLY: no end_header in {len(head):,} bytes")
+            raise SceneError(f"{path}: a PLY with no end_header in its first {len(head):,} bytes")
         lines = match[0].decode("utf-8", "replace").split(match[1].decode())
         try:
             self._parse(lines)
         except (KeyError, ValueError, IndexError) as error:
-            raise SceneError(f"{path}: broken PLY: {shown(error)}") from error
+            raise SceneError(f"{path}: header of the PLY: {shown(error, 300)}") from error
         self._begin = match.end()
         self._lines = len(lines) - 1
         self._check_size(size)
@@ -121,7 +126,7 @@ class PlyFile:
                 elif words[0] in TYPES:
                     columns.append((words[1], order + TYPES[words[0]]))
                 else:
-                    raise ValueError(f"{shown(line)}: no such type")
+                    raise ValueError(f"{shown(line)}: no such type, expected {', '.join(TYPES)}")
         if not order:
             raise ValueError("no format")
 
@@ -145,9 +150,10 @@ class PlyFile:
         try:
             with self.path.open(encoding="latin-1") as text, warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # NumPy's warning of no rows at all
+                numbers = map(_readable, text)
                 while held < len(rows):
                     part = np.loadtxt(
-                        text, element.dtype, comments=None, skiprows=skip,
+                        numbers, element.dtype, comments=None, skiprows=skip,
                         max_rows=min(ROWS, len(rows) - held), ndmin=1,
                     )  # fmt: skip
                     if not len(part):
@@ -168,6 +174,13 @@ class PlyFile:
             f"{self.path}: truncated: the header promises {element.length:,} rows of element "
             f"{name}, the file's {size_of(self.path):,} bytes hold {held:,}"
         )
+
+
+def _readable(line: str) -> str:
+    """A line whose numbers NumPy can read."""
+    if "#" in line or "(" in line:
+        line = _INFINITY.sub("inf", _NAN.sub("nan", line))
+    return line
 
 
 def header(elements: dict[str, tuple[int, np.dtype[Any]]], comments: list[str]) -> bytes:

@@ -53,8 +53,10 @@ SQRT2 = np.float32(np.sqrt(2))
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder with a meta.json, that file itself, or a zip."""
-    return (path / META).is_file() or path.name == META or head[:4] == b"PK\x03\x04"
+    """Whether a path is a folder with a meta.json, that file itself, or a zip with one."""
+    if head[:4] == b"PK\x03\x04":
+        return path.suffix.lower() == SUFFIXES[0] or META in _names(path)
+    return (path / META).is_file() or path.name == META
 
 
 def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
@@ -69,6 +71,15 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
         if isinstance(error, SceneError):
             raise
         raise SceneError(f"{path}: broken or truncated zip: {shown(error)}") from error
+
+
+def _names(path: Path) -> list[str]:
+    """Of the files in a zip; none of one that is damaged."""
+    try:
+        with zipfile.ZipFile(path) as bundle:
+            return bundle.namelist()
+    except (zipfile.BadZipFile, NotImplementedError, ValueError):
+        return []
 
 
 class Claims(NamedTuple):

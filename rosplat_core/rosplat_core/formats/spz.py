@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from rosplat_core.formats.bounds import claim, size_of, unpackable
 from rosplat_core.formats.decoded import Axes, Floats, Into, Made, Progress, Warn, blocks
 from rosplat_core.formats.quantised import largest_restored, smallest_three, to_bytes
+from rosplat_core.formats.strangers import GZIP, beginning
 from rosplat_core.log_text import shown
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
@@ -87,8 +88,10 @@ Packed = dict[str, NDArray[np.uint8]]
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Whether a file begins like gzip, or like version 4."""
-    return head[:2] == b"\x1f\x8b" or head[:4] == MAGIC
+    """Whether a file begins like version 4, plain or in gzip, or is a gzip with the ending."""
+    if head[:2] == GZIP:
+        return path.suffix.lower() == SUFFIXES[0] or beginning(head, len(MAGIC)) == MAGIC
+    return head[:4] == MAGIC
 
 
 def axes(path: Path) -> Axes:

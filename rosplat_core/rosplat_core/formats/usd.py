@@ -46,7 +46,6 @@ NAME = "OpenUSD"
 SUFFIXES = (".usdc", ".usda", ".usdz", ".usd")
 FINITE = True
 KEEPS_ORIGIN = True
-TELLS_UP = True
 
 BEGINNINGS = (b"#usda", b"PXR-USDC")
 ZIP = b"PK\x03\x04"
@@ -72,11 +71,17 @@ def axes(path: Path) -> Axes:
 def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads all splats of a file, in metres, where their transforms place them.
 
-    Raises SceneError for a file that refers to others, or to other parts of itself.
+    Layers of one .usdz may refer to one another. Raises SceneError for a file that is composed of
+    others.
     """
     size = size_of(path)
     with _child(path, size, progress) as (told, stream):
         fields = [_Field.of(path, field, told["meters"]) for field in told["fields"]]
+        if not fields and told["nurec"]:
+            raise SceneError(
+                f"{path}: a NuRec volume, which only Omniverse draws: 3DGRUT's export writes "
+                f"{usd_child.SPLATS} by --format standard"
+            )
         if not fields:
             raise SceneError(f"{path}: holds no {usd_child.SPLATS}")
         for text in dict.fromkeys(text for field in fields for text in field.differs()):
@@ -100,12 +105,10 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     return into.make(path, warn, columns, fields[0].antialiased)
 
 
-def write(
-    stream: BinaryIO, path: Path, splats: Splats, up: tuple[float, float, float] | None = None
-) -> None:
-    """Writes one prim of floats in metres, coordinates as they are; up becomes the upAxis.
+def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
+    """Writes one prim of floats in metres, coordinates as they are; the vertical is the upAxis.
 
-    An up that is no axis, or isn't known, becomes z. The origin is the prim's translation.
+    A vertical that is no axis, or isn't known, becomes z. The origin is the prim's translation.
     """
     Sdf, Tf, Usd, UsdGeom, _ = require(path)
     suffix = path.suffix.lower()
@@ -114,7 +117,8 @@ def write(
         scene = Path(folder) / ("scene.usdc" if suffix == ".usdz" else f"scene{suffix}")
         try:
             stage = Usd.Stage.CreateNew(str(scene))
-            UsdGeom.SetStageUpAxis(stage, next((y for y, way in UPS.items() if way == up), UP))
+            up = next((axis for axis, way in UPS.items() if way == splats.up), UP)
+            UsdGeom.SetStageUpAxis(stage, up)
             UsdGeom.SetStageMetersPerUnit(stage, 1.0)
             stage.SetDefaultPrim(_authored(path, stage, splats))
             stage.Save()
@@ -221,7 +225,7 @@ def _child(
             told = json.loads(line)
             if "error" in told:
                 reason = " ".join(told["error"].replace(f"{path.absolute()}:", "line ").split())
-                raise SceneError(f"{path}: broken: {shown(reason, 300)}")
+                raise SceneError(f"{path}: {shown(reason, 300)}")
             yield told, stream
         finally:
             child.kill()

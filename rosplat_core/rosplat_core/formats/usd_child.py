@@ -23,37 +23,29 @@ ARRAYS = {
     "radiance:sphericalHarmonicsCoefficients": 3,
 }
 DEGREE = "radiance:sphericalHarmonicsDegree"
-# Metadata by which a prim is composed from others.
-ARCS = ("references", "payload", "inheritPaths", "specializes", "variantSetNames", "clips")
+# Metadata by which a prim is composed from those of a named file, and from any number of them.
+ARCS = ("references", "payload")
+CLIPS = "clips"
+NUREC = "omni:nurec:isNuRecVolume"  # an attribute of NVIDIA's volumes, whose splats are elsewhere
 ANTIALIASED = "rosplat:antialiased"  # of customData
 HINTS = {"sortingModeHint": "zDepth", "projectionModeHint": "perspective"}
 
 
 def main(path: str, most: int, metadata_only: bool) -> None:
     """Writes what a file holds, or the error, to standard output."""
-    from pxr import Sdf, Tf, Usd, UsdGeom
+    from pxr import Sdf, Tf, UsdGeom
 
     _limit(most)
     out = sys.stdout.buffer
     arrays: list[Any] = []
     try:
-        layer = Sdf.Layer.OpenAsAnonymous(path, metadataOnly=metadata_only)
+        layer = Sdf.Layer.OpenAsAnonymous(path, metadataOnly=True)
         if layer is None:
             raise ValueError("no format of OpenUSD's")
-        if refused := _arcs(layer):
-            raise ValueError(f"{refused[0]} isn't read; usdcat --flatten makes one tree of a file")
-        stage = Usd.Stage.Open(layer, Usd.Stage.LoadNone)
-        told: dict[str, Any] = {
-            "up": str(UsdGeom.GetStageUpAxis(stage)),
-            "meters": UsdGeom.GetStageMetersPerUnit(stage),
-            "measured": stage.HasAuthoredMetadata("metersPerUnit"),
-            "fields": [],
-        }
-        for prim in [] if metadata_only else stage.Traverse():
-            if prim.GetTypeName() == SPLATS:
-                field, found = _field(prim)
-                told["fields"].append(field)
-                arrays += found
+        up = layer.pseudoRoot.GetInfo("upAxis")
+        told: dict[str, Any] = {"up": str(up or UsdGeom.GetFallbackUpAxis())}
+        if not metadata_only:
+            told, arrays = _read(path)
     except Tf.ErrorException as error:
         told, arrays = {"error": _reason(error)}, []
     except (ValueError, TypeError, MemoryError, RuntimeError) as error:
@@ -62,6 +54,32 @@ def main(path: str, most: int, metadata_only: bool) -> None:
     for array in arrays:
         out.write(memoryview(array).cast("B"))
     out.flush()
+
+
+def _read(path: str) -> tuple[dict[str, Any], list[Any]]:
+    """What the JSON says of a whole file, and the arrays."""
+    from pxr import Sdf, Usd, UsdGeom
+
+    root = Sdf.Layer.FindOrOpen(path)
+    if root is None:
+        raise ValueError("no format of OpenUSD's")
+    _refuse_others(root)
+    stage = Usd.Stage.Open(root)
+    fields: list[Any] = []
+    arrays: list[Any] = []
+    told: dict[str, Any] = {
+        "meters": UsdGeom.GetStageMetersPerUnit(stage),
+        "measured": stage.HasAuthoredMetadata("metersPerUnit"),
+        "fields": fields,
+        "nurec": False,
+    }
+    for prim in Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies()):
+        if prim.GetTypeName() == SPLATS:
+            field, found = _field(prim)
+            fields.append(field)
+            arrays += found
+        told["nurec"] |= prim.HasAttribute(NUREC)
+    return told, arrays
 
 
 def _reason(error: Exception) -> str:
@@ -79,13 +97,44 @@ def _limit(most: int) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (has + most, has + most))
 
 
-def _arcs(layer: Any) -> list[str]:
-    """Names of all that composes a file beyond its own tree of prims: it could be any file."""
-    found = [f"sublayer {path}" for path in layer.subLayerPaths]
+def _refuse_others(root: Any) -> None:
+    """Raises ValueError for a file composed of others, other layers of its package excepted."""
+    from pxr import Sdf
+
+    package = f"{root.realPath}["
+    waiting, seen = [root], set()
+    while waiting:
+        layer = waiting.pop()
+        seen.add(layer.identifier)
+        for asset, where in _assets(layer):
+            inside = Sdf.ComputeAssetPathRelativeToLayer(layer, asset)
+            if not inside.startswith(package):
+                raise ValueError(
+                    f"{where} names another file, {asset}: make one of them in Python by "
+                    "Usd.Stage.Open(file).Export('one.usdc')"
+                )
+            if inside in seen:
+                continue
+            found = Sdf.Layer.FindOrOpen(inside)
+            if found is None:
+                raise ValueError(f"{where} names {asset}, which the package lacks")
+            waiting.append(found)
+
+
+def _assets(layer: Any) -> list[tuple[str, str]]:
+    """The files that a layer is composed of, each with who names it."""
+    found = [(path, "a sublayer") for path in layer.subLayerPaths]
 
     def look(path: Any) -> None:
-        spec = layer.GetPrimAtPath(path) if path.IsPrimPath() else None
-        found.extend(f"{arc} of {path}" for arc in ARCS if spec and spec.HasInfo(arc))
+        is_prim = path.IsPrimPath() or path.IsPrimVariantSelectionPath()
+        spec = layer.GetPrimAtPath(path) if is_prim else None
+        if not spec:
+            return
+        if spec.HasInfo(CLIPS):
+            raise ValueError(f"{path} has value clips, which are not read")
+        for arc in ARCS:
+            items = spec.GetInfo(arc).GetAddedOrExplicitItems() if spec.HasInfo(arc) else []
+            found.extend((item.assetPath, f"{arc} of {path}") for item in items if item.assetPath)
 
     layer.Traverse(layer.pseudoRoot.path, look)
     return found

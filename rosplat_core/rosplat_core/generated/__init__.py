@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats
 
 SCENES: dict[str, type[Garden] | type[Rooms]] = {"garden": Garden, "rooms": Rooms}
 
+UP = (0.0, 0.0, 1.0)  # REP-103
 BLOCK = 1 << 18  # splats made at a time, which bounds the memory of float64 intermediates
 
 
@@ -64,4 +66,4 @@ def generate_into(
                 columns.scales[slots] = patch.scales
                 columns.opacities[slots] = patch.opacities
                 columns.sh[slots] = patch.sh[:, :k]
-    return into.made(Path(scene), lambda text: None)
+    return replace(into.made(Path(scene), lambda text: None), up=UP)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from tqdm import tqdm
-
-from rosplat_core.formats import Progress
 
 
 def bar(what: str, total: float = 1.0) -> tqdm[None]:
@@ -17,7 +15,7 @@ def bar(what: str, total: float = 1.0) -> tqdm[None]:
 
 
 @contextmanager
-def watched(what: str) -> Iterator[Progress]:
+def watched(what: str) -> Iterator[Callable[[float], None]]:
     """Shows a bar; yields the function to call with the progress, 0 to 1."""
     with bar(what) as shown:
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,7 +99,4 @@ def _part_of(camera: Camera, random: np.random.Generator) -> SplatCamera:
 
 
 def _splats(fitting: Refit, start: Splats) -> Splats:
-    return Splats(
-        origin=start.origin, antialiased=start.antialiased, channels=start.channels,
-        **fitting.splats(),
-    )  # fmt: skip
+    return replace(start, **cast(dict[str, Any], fitting.splats()))

@@ -110,7 +110,7 @@ def _scene(name: str, path: list[Camera] | None, steps: int) -> Iterator[Event]:
                 yield Measurement.of("PSNR", "dB", quality.psnr, **labels)
                 yield Measurement.of("PSNR of the worst view", "dB", quality.worst, **labels)
                 yield Measurement.of("processor time", "s", took, **labels)
-                save(Path(folder) / "kept.spz", kept)
+                save(Path(folder) / "kept.spz", kept, overwrite=True)
                 size = (Path(folder) / "kept.spz").stat().st_size
                 yield Measurement.of("size as SPZ", "MB", size / 1e6, **labels)
         for method, work in works.items():

@@ -26,7 +26,7 @@ from rosplat_core.program.files import write_text
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import bar, watched
 from rosplat_core.rendering import MOST_PSNR
-from rosplat_core.scenes import NAMES, load_scene, vertical
+from rosplat_core.scenes import NAMES, load_scene
 from rosplat_core.simplification.search import LEARNT, Progress, Quality, Simplification
 from rosplat_core.simplification.views import CHECKED, HEIGHT, HELD, MARGIN, WIDTH, whereabouts
 from rosplat_core.slot_order import put_in_slot_order
@@ -55,8 +55,6 @@ class Output:
 
     path: Path
     drafts: ExitStack
-    up: tuple[float, float, float] | None
-    """The scene's vertical, where it is known."""
 
     @cached_property
     def draft(self) -> Path:
@@ -65,7 +63,7 @@ class Output:
 
     def write(self, splats: Splats) -> Written:
         """Writes a draft, in place of the one before, and reads it back."""
-        save(self.draft, splats, self.up)
+        save(self.draft, splats, overwrite=True)
         return Written(load(self.draft, warn=lambda _: None), self.draft.stat().st_size)
 
 
@@ -169,7 +167,7 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
         raise SceneError(f"{options.input}: {error}") from error
     read, processor = time.monotonic(), time.process_time()
     with ExitStack() as drafts, _shown() as tell:
-        output = Output(out, drafts, vertical(options.input))
+        output = Output(out, drafts)
         work = Simplification(splats, tell, path, options.margin)
         written, quality = _within(work, output, *bounds, 60 * options.refine)
         output.draft.replace(out)

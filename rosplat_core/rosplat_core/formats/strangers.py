@@ -1,0 +1,67 @@
+"""Files that are taken for scenes, by how they begin: named as what they are."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from pathlib import Path
+
+LFS = b"version https://git-lfs.github.com/spec/"
+MARKUP = (b"<!doctype", b"<html", b"<?xml", b"<head", b"<error")
+GZIP, ZIP = b"\x1f\x8b", b"PK\x03\x04"
+PACKED = {
+    GZIP: "packed by gzip", b"BZh": "packed by bzip2", b"\xfd7zXZ": "packed by xz",
+    b"7z\xbc\xaf\x27\x1c": "a 7z archive", b"Rar!": "a RAR archive",
+    b"\x28\xb5\x2f\xfd": "packed by Zstandard",
+}  # fmt: skip
+PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF")
+MOST_NAMES = 3
+
+
+def impostor(head: bytes) -> str:
+    """What stands in the place of a file of any ending; empty for none."""
+    if head.startswith(LFS):
+        return "a pointer of Git LFS, not the file itself: `git lfs pull` fetches it"
+    if head.lstrip(b"\xef\xbb\xbf \t\r\n")[:16].lower().startswith(MARKUP):
+        return "a web page, not the file itself: what a download got in its place"
+    return ""
+
+
+def stranger(path: Path, head: bytes) -> str:
+    """What a file is that no format recognises; empty for what isn't known."""
+    if head.startswith(ZIP):
+        return _zip(path)
+    if head.startswith(GZIP) and beginning(head, 4) in (b"ply\n", b"ply\r"):
+        return "a PLY packed by gzip: unpack it first"
+    for first, what in PACKED.items():
+        if head.startswith(first):
+            return f"{what}: unpack it first"
+    if head[257:262] == b"ustar":
+        return "a tar archive: unpack it first"
+    if head.startswith(PICTURES):
+        return "a picture"
+    if head.lstrip()[:1] in (b"{", b"["):
+        return "JSON, and no scene in it is known"
+    return ""
+
+
+def beginning(packed: bytes, count: int) -> bytes:
+    """The first bytes of what gzip has packed, given its own first ones; empty for damaged ones."""
+    try:
+        return zlib.decompressobj(16 + zlib.MAX_WBITS).decompress(packed, count)
+    except zlib.error:
+        return b""
+
+
+def _zip(path: Path) -> str:
+    """What a zip is, by its files."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return "a zip that is cut short or damaged"
+    if any(name.endswith("data.pkl") for name in names):
+        return "a checkpoint of PyTorch: have its trainer export a PLY"
+    scenes = [name for name in names if name.lower().endswith((".ply", ".splat", ".spz", ".sog"))]
+    shown = ", ".join((scenes or names)[:MOST_NAMES]) + ", …" * (len(scenes or names) > MOST_NAMES)
+    return f"a zip with {shown or 'nothing'}: unpack it first"

@@ -1,0 +1,55 @@
+"""Files that are taken for scenes are named as what they are."""
+
+import gzip
+import tarfile
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rosplat_core.formats import SceneError, load, save
+from rosplat_core.splats import Splats
+
+POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 123\n"
+
+
+@pytest.mark.parametrize("ending", [".ply", ".splat", ".ksplat", ".spz", ".sog", ".npz", ""])
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (POINTER, "a pointer of Git LFS"),
+        ("\n<!DOCTYPE html><html>404</html>", "a web page"),
+        ('<?xml version="1.0"?><Error>AccessDenied</Error>', "a web page"),
+    ],
+)
+def test_what_a_download_got_instead(tmp_path: Path, ending: str, text: str, reason: str) -> None:
+    (tmp_path / f"a{ending}").write_text(text)
+    with pytest.raises(SceneError, match=reason):
+        load(tmp_path / f"a{ending}")
+
+
+def test_archives_are_named(random_splats: Callable[..., Splats], tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", random_splats(4))
+    with zipfile.ZipFile(tmp_path / "scenes.zip", "w") as archive:
+        for name in "abcd":
+            archive.write(tmp_path / "a.ply", f"{name}/point_cloud.ply")
+    with zipfile.ZipFile(tmp_path / "model.pth", "w") as archive:
+        archive.writestr("model/data.pkl", "")
+    with tarfile.open(tmp_path / "a.tar", "w") as tar:
+        tar.add(tmp_path / "a.ply")
+    (tmp_path / "a.ply.gz").write_bytes(gzip.compress((tmp_path / "a.ply").read_bytes()))
+    (tmp_path / "b.gz").write_bytes(gzip.compress(b"whatever"))
+    (tmp_path / "cut.zip").write_bytes((tmp_path / "scenes.zip").read_bytes()[:100])
+    (tmp_path / "a.json").write_text("[1]")
+    for name, reason in (
+        ("scenes.zip", r"a zip with a/point_cloud\.ply, .*, …: unpack it first"),
+        ("model.pth", "a checkpoint of PyTorch"),
+        ("a.tar", "a tar archive"),
+        ("a.ply.gz", "a PLY packed by gzip"),
+        ("b.gz", "packed by gzip"),
+        ("cut.zip", "a zip that is cut short"),
+        ("a.json", "JSON"),
+    ):
+        with pytest.raises(SceneError, match=rf"{name}: {reason}"):
+            load(tmp_path / name)
