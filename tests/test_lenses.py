@@ -27,6 +27,32 @@ LENSES = {
         coefficients=(0.45, -2.6, 8e-4, -1e-4, 1.5, 0.33, -2.4, 1.45),
     ),
     "equidistant": Lens(**SIZE, model="equidistant", coefficients=(-0.02, 0.01, -0.005, 0.001)),
+    # As depthai has those of an OAK: thin prisms, and a sensor tilted by half a degree.
+    "rational_polynomial of 12": Lens(
+        **SIZE,
+        model="rational_polynomial",
+        coefficients=(0.45, -2.6, 8e-4, -1e-4, 1.5, 0.33, -2.4, 1.45, 4e-3, -2e-3, -3e-3, 1e-3),
+    ),
+    "rational_polynomial of 14": Lens(
+        **SIZE,
+        model="rational_polynomial",
+        coefficients=(
+            0.45,
+            -2.6,
+            8e-4,
+            -1e-4,
+            1.5,
+            0.33,
+            -2.4,
+            1.45,
+            4e-3,
+            -2e-3,
+            -3e-3,
+            1e-3,
+            0.01,
+            -0.008,
+        ),
+    ),
 }
 EYE = look_at((2.0, 1.0, 0.7), (0, 0, 0))
 
@@ -68,6 +94,11 @@ def test_rays_that_do_not_arrive_are_none() -> None:
         ({"fx": 0.0, "fy": 0.0}, "k: focal lengths are 0.0, 0.0, expected more than 0"),
         ({"cx": math.nan}, "a number is not finite"),
         ({"model": "fisheye"}, "distortion_model is 'fisheye', known are plumb_bob"),
+        ({"model": "a\x1b[31m"}, r"distortion_model is 'a\\x1b\[31m'"),
+        (
+            {"model": "rational_polynomial", "coefficients": (1,) * 15},
+            "d has 15 numbers, expected 8, 12, 14 of",
+        ),
         ({"model": "equidistant", "coefficients": (0, 0, 0, 0, 1)}, "d has 5 numbers, expected 4"),
     ],
 )

@@ -2,14 +2,15 @@
 
 A camera file is a JSON list of objects with id, width, height, fx, fy, cx, cy [px] and
 world_to_camera (4x4, OpenCV: x right, y down, z forward [m]); image, orthographic, near and far may
-be given as well.
+be given as well. foreign_cameras.py has the files of others that are read, too.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from numbers import Integral, Real
 from pathlib import Path
@@ -18,16 +19,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rosplat_core import foreign_cameras
 from rosplat_core.program.files import write_text
 from rosplat_core.quaternions import from_matrices, to_matrices
+from rosplat_core.rigid import rigid
 from rosplat_core.splats import SceneError, Splats
+
+_log = logging.getLogger(__name__)
 
 UP = (0.0, 0.0, 1.0)  # REP-103
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A camera without lens distortion. Raises ValueError for values that can't be one."""
+    """A camera without lens distortion. Raises ValueError for values that can't be one.
+
+    The centre of the first pixel is (0.5, 0.5), as for COLMAP, gsplat and OpenGL. For ROS and
+    OpenCV it is (0, 0): add 0.5 to their cx and cy, as from_camera_info does.
+    """
 
     id: int
     width: int
@@ -40,7 +49,10 @@ class Camera:
     """Principal point, where the centre of the top left pixel is (0.5, 0.5). [px]"""
     cy: float
     world_to_camera: NDArray[np.float64]
-    """(4, 4) rigid transform into the optical frame: x right, y down, z forward. [m]"""
+    """(4, 4) rigid transform into the optical frame: x right, y down, z forward. [m]
+
+    A rotation that is off by up to 1e-2 becomes the nearest one, and the log says so once.
+    """
     orthographic: bool = False
     near: float = 0.01
     """Depths along z between which splats are drawn. [m]"""
@@ -73,17 +85,32 @@ class Camera:
             raise ValueError(f"fx, fy are {self.fx}, {self.fy}, expected more than 0")
         if not 0 < self.near < self.far:
             raise ValueError(f"near, far are {self.near}, {self.far}, expected 0 < near < far")
-        try:
-            transform = np.array(self.world_to_camera, np.float64)  # a copy: callers go on
-        except (TypeError, ValueError, OverflowError):
-            transform = np.empty(0)
-        if transform.shape != (4, 4) or not np.isfinite(transform).all():
-            raise ValueError("world_to_camera: expected 4x4 finite numbers")
-        rotation = transform[:3, :3]
-        rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
-        if not rigid or np.linalg.det(rotation) < 0 or (transform[3] != (0, 0, 0, 1)).any():
-            raise ValueError("world_to_camera: expected a rotation and a translation")
+        transform = rigid(self.world_to_camera, "world_to_camera")
+        given = np.asarray(self.world_to_camera, np.float64)
+        if (transform[:3, :3] != given[:3, :3]).any():  # another rotation at the same place
+            place = np.linalg.solve(given[:3, :3], given[:3, 3])
+            transform[:3, 3] = transform[:3, :3] @ place
         object.__setattr__(self, "world_to_camera", transform)
+
+    @classmethod
+    def from_camera_info(
+        cls, info: Any, world_to_camera: ArrayLike | None = None, id: int = 0
+    ) -> Camera:
+        """The camera of rectified pictures, by a sensor_msgs/CameraInfo or what has its fields.
+
+        Takes width, height and the projection matrix p, else k where p is zero, and moves the
+        principal point by half a pixel: for ROS, the centre of the first pixel is (0, 0).
+        world_to_camera: by default, the camera is at the origin. Raises ValueError.
+        """
+        try:
+            p, k = (np.asarray(matrix, np.float64) for matrix in (info.p, info.k))
+            fx, cx, fy, cy = p[[0, 2, 5, 6]] if p.any() else k[[0, 2, 4, 5]]
+            width, height = int(info.width), int(info.height)
+        except (AttributeError, TypeError, ValueError, IndexError) as error:
+            raise ValueError(f"no CameraInfo with width, height, p and k: {error}") from error
+        pose = np.eye(4) if world_to_camera is None else world_to_camera
+        centre = float(cx) + 0.5, float(cy) + 0.5
+        return cls(id, width, height, float(fx), float(fy), *centre, np.asarray(pose, np.float64))
 
     @property
     def position(self) -> NDArray[np.float64]:
@@ -113,14 +140,26 @@ def _is_finite(value: Real) -> bool:
         return False
 
 
-def load_cameras(path: str | Path) -> list[Camera]:
-    """Reads a camera file. Raises SceneError naming the file, the camera and the field."""
+def load_cameras(path: str | Path, warn: Callable[[str], object] = _log.warning) -> list[Camera]:
+    """Reads a camera file: ours, INRIA's cameras.json, nerfstudio's transforms.json, or COLMAP's.
+
+    COLMAP's is a folder, or one of its files. warn is called with what is left out, such as lens
+    distortion. Raises SceneError naming the file, the camera and the field.
+    """
+    path, told = Path(path), list[str]()
     try:
-        entries = json.loads(Path(path).read_text(encoding="utf-8"))
+        entries: Any = foreign_cameras.colmap(path, told.append)
+        if entries is None:
+            document = json.loads(path.read_text(encoding="utf-8"))
+            entries = foreign_cameras.entries(document, path, told.append)
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
+        if isinstance(error, SceneError):
+            raise
         raise SceneError(f"{path}: not JSON: {error}") from error
+    for text in dict.fromkeys(told):
+        warn(text)
     if not isinstance(entries, list):
         raise SceneError(f"{path}: expected a list of cameras")
     return [_camera(entry, f"{path}: camera {index}") for index, entry in enumerate(entries)]

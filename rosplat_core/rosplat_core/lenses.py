@@ -1,8 +1,9 @@
 """Lenses: where a calibrated camera images a ray, and how pinhole pictures warp to its picture.
 
 The models are those of sensor_msgs/distortion_models.hpp, as OpenCV defines them: plumb_bob and
-rational_polynomial (Brown 1966; cv::projectPoints), equidistant (Kannala and Brandt 2006;
-cv::fisheye). Pixels are ROS's: the centre of the top left one is (0, 0). Knows no ROS.
+rational_polynomial, also with thin prisms and a tilted sensor (Brown 1966; cv::projectPoints),
+equidistant (Kannala and Brandt 2006; cv::fisheye). Pixels are ROS's: the centre of the top left one
+is (0, 0). Knows no ROS.
 """
 
 from __future__ import annotations
@@ -19,12 +20,13 @@ from scipy.ndimage import map_coordinates
 from scipy.sparse import csr_matrix
 
 from rosplat_core.cameras import Camera
+from rosplat_core.log_text import shown
 
 Array = NDArray[np.float64]
 
 PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT = "", "plumb_bob", "rational_polynomial", "equidistant"
-# How many coefficients a model has; missing ones are 0.
-COEFFICIENTS = {PINHOLE: 0, PLUMB_BOB: 5, RATIONAL: 8, EQUIDISTANT: 4}
+# How many coefficients a model may have; missing ones are 0.
+COEFFICIENTS = {PINHOLE: (0,), PLUMB_BOB: (5,), RATIONAL: (8, 12, 14), EQUIDISTANT: (4,)}
 
 LONGEST_SIDE = 8192  # [px]
 WIDEST = math.tan(math.radians(50))  # beyond, splats lose their shape in one pinhole picture
@@ -53,8 +55,9 @@ class Lens:
     cy: float
     model: str = PINHOLE
     coefficients: tuple[float, ...] = ()
-    """As CameraInfo.d: plumb_bob k1 k2 p1 p2 k3; rational_polynomial k1 k2 p1 p2 k3 k4 k5 k6;
-    equidistant k1 k2 k3 k4."""
+    """As CameraInfo.d: plumb_bob k1 k2 p1 p2 k3; rational_polynomial k1 k2 p1 p2 k3 k4 k5 k6, then
+    s1 s2 s3 s4 of thin prisms, then the sensor's tilt about x and y [rad]; equidistant k1 k2 k3 k4.
+    """
 
     def __post_init__(self) -> None:
         """Checks every value."""
@@ -68,12 +71,13 @@ class Lens:
             raise LensError(f"k: focal lengths are {self.fx}, {self.fy}, expected more than 0")
         if self.model not in COEFFICIENTS:
             known = ", ".join(filter(None, COEFFICIENTS))
-            raise LensError(f"distortion_model is '{self.model}', known are {known}")
-        most = COEFFICIENTS[self.model]
-        if any(self.coefficients[most:]):
-            count = len(self.coefficients)
-            raise LensError(f"d has {count} numbers, expected {most} of '{self.model}'")
-        padded = (*self.coefficients, *[0.0] * most)[:most]
+            raise LensError(f"distortion_model is '{shown(self.model)}', known are {known}")
+        count, counts = len(self.coefficients), COEFFICIENTS[self.model]
+        if any(self.coefficients[counts[-1] :]):
+            expected = ", ".join(map(str, counts))
+            raise LensError(f"d has {count} numbers, expected {expected} of '{self.model}'")
+        size = next((size for size in counts if size >= count), counts[-1])
+        padded = (*self.coefficients, *[0.0] * size)[:size]
         object.__setattr__(self, "coefficients", padded)
 
     @classmethod
@@ -116,6 +120,8 @@ class Lens:
         goals = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
         if self.is_pinhole:
             return np.concatenate([goals, np.ones((*goals.shape[:-1], 1))], axis=-1)
+        if self._tilt is not None:
+            goals = _mapped(np.asarray(np.linalg.inv(self._tilt), np.float64), goals)
         radii = np.linalg.norm(goals, axis=-1)
         found = np.interp(radii, self._reach[1], self._reach[0])
         with np.errstate(all="ignore"):
@@ -161,38 +167,74 @@ class Lens:
 
     def _radial(self, square: Array) -> tuple[Array, Array]:
         """The radial factor at squared radii, and its derivative by the squared radius."""
-        k1, k2, _, _, k3, *below = self.coefficients or (0.0,) * 5
+        k1, k2, _, _, k3, *below = self.coefficients[:8] or (0.0,) * 5
         above, denominator = (1, k1, k2, k3), (1, *below)
         a, b = _polynomial(square, above), _polynomial(square, denominator)
         da, db = _polynomial(square, _derived(above)), _polynomial(square, _derived(denominator))
         return a / b, (da * b - a * db) / (b * b)
 
+    @property
+    def _prisms(self) -> tuple[float, ...]:
+        """s1 s2 s3 s4 of thin prisms."""
+        return self.coefficients[8:12] or (0.0,) * 4
+
+    @cached_property
+    def _tilt(self) -> Array | None:
+        """(3, 3) from the plane z = 1 to that of a tilted sensor, as homogeneous points."""
+        x, y = self.coefficients[12:] or (0.0, 0.0)
+        if not (x or y):
+            return None
+        about_x = [[1, 0, 0], [0, math.cos(x), math.sin(x)], [0, -math.sin(x), math.cos(x)]]
+        about_y = [[math.cos(y), 0, -math.sin(y)], [0, 1, 0], [math.sin(y), 0, math.cos(y)]]
+        turn = np.array(about_y) @ np.array(about_x)
+        ahead = turn[2, 2]
+        flat = [[ahead, 0, -turn[0, 2]], [0, ahead, -turn[1, 2]], [0, 0, 1]]
+        tilt: Array = np.array(flat) @ turn
+        return tilt
+
     def _distorted(self, points: Array) -> Array:
         """Distorted places of points (..., 2), both on the plane z = 1."""
+        bent = self._bent(points)
+        return bent if self._tilt is None else _mapped(self._tilt, bent)
+
+    def _bent(self, points: Array) -> Array:
+        """As _distorted, on a sensor without tilt."""
         _, _, p1, p2, *_ = self.coefficients or (0.0,) * 5
+        s1, s2, s3, s4 = self._prisms
         x, y = points[..., 0], points[..., 1]
         square = x * x + y * y
         factor, _ = self._radial(square)
+        prism_x, prism_y = square * (s1 + s2 * square), square * (s3 + s4 * square)
         return np.stack(
             [
-                x * factor + 2 * p1 * x * y + p2 * (square + 2 * x * x),
-                y * factor + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
+                x * factor + 2 * p1 * x * y + p2 * (square + 2 * x * x) + prism_x,
+                y * factor + p1 * (square + 2 * y * y) + 2 * p2 * x * y + prism_y,
             ],
             axis=-1,
         )
 
     def _newton_step(self, points: Array, goals: Array) -> Array:
-        """What to subtract from points (..., 2) so that, to first order, they distort to goals."""
+        """What to subtract from points (..., 2) so that, to first order, they are bent to goals."""
         _, _, p1, p2, *_ = self.coefficients
+        s1, s2, s3, s4 = self._prisms
         x, y = points[..., 0], points[..., 1]
-        factor, slope = self._radial(x * x + y * y)
-        xx = factor + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
-        yy = factor + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
-        xy = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+        square = x * x + y * y
+        factor, slope = self._radial(square)
+        prism_x, prism_y = 2 * (s1 + 2 * s2 * square), 2 * (s3 + 2 * s4 * square)
+        mixed = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+        xx = factor + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x + prism_x * x
+        yy = factor + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x + prism_y * y
+        xy, yx = mixed + prism_x * y, mixed + prism_y * x
         with np.errstate(all="ignore"):
-            missed = (self._distorted(points) - goals) / (xx * yy - xy * xy)[..., None]
+            missed = (self._bent(points) - goals) / (xx * yy - xy * yx)[..., None]
         u, v = missed[..., 0], missed[..., 1]
-        return np.stack([yy * u - xy * v, xx * v - xy * u], axis=-1)
+        return np.stack([yy * u - xy * v, xx * v - yx * u], axis=-1)
+
+
+def _mapped(homography: Array, points: Array) -> Array:
+    """Points (..., 2) of the plane z = 1, moved by a matrix (3, 3)."""
+    moved = points @ homography[:, :2].T + homography[:, 2]
+    return moved[..., :2] / moved[..., 2:]
 
 
 def _polynomial(x: Array, coefficients: Sequence[float]) -> Array:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rosplat_core import _core
 from rosplat_core.cameras import Camera
 from rosplat_core.maps import MOVE, REPLACE, UPSERT
-from rosplat_core.splats import Splats
+from rosplat_core.splats import Splats, check_splats
 
 Antialiasing = _core.Antialiasing
 ChannelColours = _core.ChannelColours
@@ -67,10 +67,13 @@ class CpuRenderer(_core.CpuRenderer):
         super().__init__(threads, instructions)
         self._drawing = Lock()
         if splats is not None:
+            check_splats(splats)
             insert_all(self, splats)
 
     def render(self, camera: Camera) -> NDArray[np.float32]:
         """What a camera sees: premultiplied RGBA over nothing, float32 (height, width, 4)."""
+        if not isinstance(camera, Camera):
+            raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
         colour: NDArray[np.float32] = self.draw(posed(camera))["colour"]
         return colour
 
@@ -85,6 +88,7 @@ def render(splats: Splats, camera: Camera) -> NDArray[np.float32]:
 
     To draw several pictures of the same splats, keep a CpuRenderer.
     """
+    check_splats(splats)
     return CpuRenderer(splats).render(camera)
 
 

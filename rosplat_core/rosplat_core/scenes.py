@@ -7,6 +7,7 @@ import re
 from rosplat_core import formats
 from rosplat_core.formats import Into, IntoSplats, Made, Progress, Warn
 from rosplat_core.generated import generate_into
+from rosplat_core.program.numbers import whole_number
 from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats
 
@@ -85,10 +86,11 @@ def _generated(into: Into[Made], name: str, progress: Progress) -> Made:
 def _numbers(name: str) -> tuple[int, int]:
     """COUNT and SEED of a generated scene's name. Raises SceneError."""
     kind, _, numbers = name.partition(":")
-    match = re.fullmatch(r"(\d{1,18})(?::(\d{1,18}))?", numbers, re.ASCII)
-    if not match:
-        raise SceneError(f"{name}: expected {kind}:COUNT[:SEED]")
-    count, seed = (int(number or 0) for number in match.groups())
+    match = re.fullmatch(r"(\d{1,18}|[\d.]{1,18}[kKmM])(?::(\d{1,18}))?", numbers, re.ASCII)
+    try:
+        count, seed = map(whole_number, match.groups("0") if match else "?")
+    except ValueError:
+        raise SceneError(f"{name}: expected {kind}:COUNT[:SEED], such as {kind}:20k") from None
     if not 1 <= count <= MAX_SLOTS:
         raise SceneError(f"{name}: expected 1 to {MAX_SLOTS:,} splats, as many as a map has")
     return count, seed

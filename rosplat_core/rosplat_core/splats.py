@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -14,11 +15,16 @@ from rosplat_core.channels import joined
 from rosplat_core.log_text import shown
 from rosplat_core.quaternions import from_matrices, product
 
+_log = logging.getLogger(__name__)
+_said: set[str] = set()  # what was warned of, once in a process
+
 LOW_PASS = 0.3  # added to the variance of every splat [px^2]; part of the trained model
 MAX_SH_DEGREE = 3
 
 # float32 holds half a millimetre at this distance from zero; farther out, an origin is needed.
 FAR_FROM_ZERO = 1e4
+
+MOST_LOOKED_AT = 10_000  # splats that are looked at to tell what their numbers mean
 
 LONGEST_ERROR = 10_000  # of an error's text, which may hold a path or a URL [characters]
 
@@ -35,8 +41,13 @@ class SceneError(ValueError):
 class Splats:
     """A set of n 3D Gaussians with view-dependent colour (Kerbl et al. 2023).
 
+    Lengths are in metres, in a right-handed frame of the caller's. A Gaussian's own axes are turned
+    into that frame by its orientation. Scales and opacities are those that are drawn: a trainer's
+    parameters, logarithms and logits, go through from_trained. Colour is 0.5 plus the harmonics
+    towards the splat, in the order and sign of the 3DGS code, not linear light.
+
     Arrays of another dtype are converted; a wrong shape, or an origin that is not finite, raises
-    ValueError. Units and conventions are those of rosplat_msgs/GaussianArray.
+    ValueError.
     """
 
     positions: NDArray[np.float32]
@@ -143,6 +154,23 @@ class Splats:
                     f"Splats.channels['{name}']: expected shape {(n,)}, got {values.shape}"
                 )
         object.__setattr__(self, "channels", channels)
+        for text in untransformed(self.scales, self.opacities):
+            if text not in _said:
+                _said.add(text)
+                _log.warning("Splats: %s; Splats.from_trained takes a trainer's parameters", text)
+
+    def __repr__(self) -> str:
+        """One line: how many, their degree, vertical and bounds."""
+        told = [f"{len(self):,} splats", f"SH degree {self.sh_degree}"]
+        if self.up is not None:
+            told.append(f"up {_numbers(self.up)}")
+        if len(self):
+            with np.errstate(over="ignore", invalid="ignore"):
+                low, high = (f.reduce(self.positions) + self.origin for f in (np.fmin, np.fmax))
+            told.append(f"from {_numbers(low)} to {_numbers(high)} m")
+        told += ["antialiased"] * self.antialiased
+        told += [f"channels {', '.join(self.channels)}"] * bool(self.channels)
+        return f"Splats({', '.join(told)})"
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -238,6 +266,29 @@ class PackedSplats:
     def arrays(self) -> tuple[NDArray[np.generic], ...]:
         """Every array with a row for each splat."""
         return (self.rows, *self.channels.values())
+
+
+def check_splats(splats: object, name: str = "splats") -> None:
+    """Raises TypeError, which begins with name, for what is no Splats."""
+    if not isinstance(splats, Splats):
+        kind = type(splats).__name__
+        raise TypeError(f"{name}: expected Splats, got {kind}; rosplat_core.load reads a file")
+
+
+def untransformed(scales: NDArray[np.floating[Any]], opacities: NDArray[Any]) -> list[str]:
+    """What values (n, 3) and (n,) look like if they are logarithms and logits; empty for others."""
+    step = len(scales) // MOST_LOOKED_AT + 1
+    told = []
+    if len(scales) and (scales[::step] < 0).mean() > 0.5:
+        told.append("scales are negative: logarithms?")
+    some = opacities[::step]
+    if len(some) and ((some < 0) | (some > 1)).mean() > 0.5:
+        told.append("opacities are not from 0 to 1: logits?")
+    return told
+
+
+def _numbers(values: ArrayLike) -> str:
+    return " ".join(f"{value:.4g}" for value in np.asarray(values))
 
 
 def _shaped(name: str, array: ArrayLike, *shapes: tuple[int, ...]) -> NDArray[np.floating[Any]]:

@@ -381,6 +381,20 @@ def test_text_has_many_names_for_no_number(random_splats: Make, tmp_path: Path) 
     assert "dropped 8 of 12" in told[0]
 
 
+def test_linear_scales_and_opacities_are_suspected(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a.ply", random_splats(50, 0))
+    rows = rows_of(tmp_path / "a.ply")
+    for name in ("scale_0", "scale_1", "scale_2", "opacity"):
+        rows[name] = np.random.default_rng(0).uniform(0.001, 0.1, 50)
+    write_rows(tmp_path / "b.ply", rows)
+    told: list[str] = []
+    load(tmp_path / "a.ply", warn=told.append)
+    assert not told
+    load(tmp_path / "b.ply", warn=told.append)
+    assert "scale_0 is from 0 to 1 in all splats: no logarithms" in told[0]
+    assert "opacity is from 0 to 1 in all splats: no logits" in told[1]
+
+
 def test_what_is_no_splat_is_named(random_splats: Make, tmp_path: Path) -> None:
     save(tmp_path / "a.ply", random_splats(3))
     rows = rows_of(tmp_path / "a.ply")

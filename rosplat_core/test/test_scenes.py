@@ -60,6 +60,11 @@ def test_a_scene_without_a_usable_splat(tmp_path: Path) -> None:
         assert len(scenes.read_scene(str(tmp_path / name), lambda _: None, lambda _: None)) == 0
 
 
+def test_counts_may_have_units() -> None:
+    assert len(load("procedural:2k")) == 2000
+    assert len(load("rooms:1.5k:7")) == 1500
+
+
 def test_up_follows_the_format_where_it_has_one(tmp_path: Path) -> None:
     for ending, up in (
         (".spz", (0, 1, 0)),

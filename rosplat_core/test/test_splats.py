@@ -1,13 +1,18 @@
 """The in-memory map: its checks, its cuts and joins, and the origin that keeps it precise."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import rosplat_core
 from rosplat_core.splats import Splats, concatenate, rebase
 from rosplat_core.view import frame_at, rotation_matrix
+
+Make = Callable[..., Splats]
 
 
 def splats(n: int, degree: int = 1, **changes: Any) -> Splats:
@@ -259,3 +264,61 @@ def test_splats_move_with_all_that_is_seen_of_them() -> None:
     back = moved.moved(np.linalg.inv(pose))
     for name in ("positions", "sh", "origin"):
         np.testing.assert_allclose(getattr(back, name), getattr(some, name), atol=1e-5)
+
+
+def test_a_map_is_told_in_a_line(random_splats: Make) -> None:
+    splats = replace(
+        random_splats(1200, 2, antialiased=True), origin=np.array([1e5, 0, 0]), up=(0, 0, 2.0),
+        channels={"label": np.zeros(1200)},
+    )  # fmt: skip
+    splats.positions[3] = np.nan
+    told = repr(splats)
+    assert told.startswith("Splats(1,200 splats, SH degree 2, up 0 0 1, from 1e+05 -")
+    assert told.endswith("m, antialiased, channels label)")
+    assert "nan" not in told
+    assert repr(random_splats(0)) == "Splats(0 splats, SH degree 3)"
+
+
+@pytest.mark.parametrize("up", [(0, 0, 0), (1, 2), (np.nan, 0, 1)])
+def test_a_vertical_has_a_direction(random_splats: Make, up: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match=r"Splats\.up: expected three numbers"):
+        replace(random_splats(1), up=up)
+
+
+def test_a_vertical_turns_with_the_splats(random_splats: Make) -> None:
+    splats = replace(random_splats(3), up=(0, 0, 1))
+    pose = np.eye(4)
+    pose[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    assert splats.moved(pose).up == (0, -1, 0)
+    assert concatenate([splats, splats]).up == (0, 0, 1)
+    assert concatenate([splats, splats.moved(pose)]).up is None
+
+
+def test_a_trainer_s_parameters_are_named_once_each(
+    random_splats: Make, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rosplat_core.splats, "_said", set())
+    splats = random_splats(100)
+    replace(splats, scales=np.where(np.arange(300).reshape(100, 3) < 50, -1, splats.scales))
+    assert not caplog.records  # a few are no such thing
+    for _ in range(2):
+        replace(splats, scales=np.log(splats.scales))
+        replace(splats, opacities=10 * splats.opacities - 5)
+    assert [record.getMessage().split(";")[0] for record in caplog.records] == [
+        "Splats: scales are negative: logarithms?",
+        "Splats: opacities are not from 0 to 1: logits?",
+    ]
+
+
+def test_what_is_no_splats_is_told(tmp_path: Path) -> None:
+    array, camera = np.zeros((3, 3)), rosplat_core.orbit(np.array([[0, 0, 0], [1, 1, 1]]), 1)[0]
+    for call in (
+        lambda: rosplat_core.render(array, camera),
+        lambda: rosplat_core.CpuRenderer(array),
+        lambda: rosplat_core.save(tmp_path / "a.ply", array),
+        lambda: rosplat_core.simplify(array, max_splats=3),
+    ):
+        with pytest.raises(TypeError, match="splats: expected Splats, got ndarray"):
+            call()
+    with pytest.raises(TypeError, match="camera: expected a Camera, got ndarray"):
+        rosplat_core.CpuRenderer().render(array)

@@ -7,6 +7,8 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+from rosplat_core.program.numbers import whole_number
+
 
 def whole(least: int) -> Callable[[str], int]:
     """A type for argparse: whole numbers from least on."""
@@ -42,10 +44,9 @@ def sized(what: str) -> Callable[[str], int]:
     """A type for argparse: whole numbers above 0, as 500k, 5M or 20G too. what: their name."""
 
     def parse(text: str) -> int:
-        unit = {"k": 10**3, "m": 10**6, "g": 10**9}.get(text[-1:].lower(), 1)
         try:
-            value = round(float(text if unit == 1 else text[:-1]) * unit)
-        except (ValueError, OverflowError):  # OverflowError: inf
+            value = whole_number(text)
+        except ValueError:
             value = 0
         if value < 1:
             raise argparse.ArgumentTypeError(f"'{text}' is no {what}, such as 500k or 5M")

@@ -20,7 +20,7 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import Header
 
 from rosplat_core.maps import PublishedBatch, PublishedMap
-from rosplat_core.splats import PackedSplats, Splats, concatenate
+from rosplat_core.splats import PackedSplats, Splats, check_splats, concatenate
 from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
@@ -179,7 +179,8 @@ class MapPublisher:
         PackedSplats in place, and makes them read-only. Raises ValueError if splats or
         expected_slots exceed MAX_SLOTS. If sending fails, the previous map stays and is sent again.
         """
-        _check_type(splats)
+        if not isinstance(splats, PackedSplats):
+            check_splats(splats)
         if expected_slots is not None:
             expected_slots = _whole("expected_slots", expected_slots, GaussianArray.MAX_SLOTS)
         when = _checked_stamp(stamp)
@@ -219,7 +220,8 @@ class MapPublisher:
         MAX_SLOTS, if slots and splats differ in number, if a block holds splats of another group,
         or if the splats' `antialiased` differs from the map's.
         """
-        _check_type(splats)
+        if not isinstance(splats, PackedSplats):
+            check_splats(splats)
         when = _checked_stamp(stamp)
         slots = _checked(slots)
         group = _whole("group", group, GaussianArray.MAX_GROUPS - 1)
@@ -240,8 +242,12 @@ class MapPublisher:
     def move(self, poses: Mapping[int, Pose | ArrayLike], *, stamp: Time | None = None) -> None:
         """Places groups in the map's frame: {group: a Pose or a rigid transform (4, 4)}.
 
-        Raises ValueError, and sends nothing, if a pose isn't a rigid transform.
+        A matrix whose rotation is off by up to 1e-2 becomes the nearest rotation, and the log says
+        so once. Raises ValueError, and sends nothing, if a pose isn't a rigid transform.
         """
+        if not isinstance(poses, Mapping):
+            kind = type(poses).__name__
+            raise TypeError(f"poses: expected {{group: pose}}, such as {{0: pose}}, got {kind}")
         when = _checked_stamp(stamp)
         values = {}
         for group, pose in poses.items():
@@ -453,12 +459,6 @@ def _whole(name: str, number: int, most: int) -> int:
     if not isinstance(number, int | np.integer) or not 0 <= number <= most:
         raise ValueError(f"{name}: a number from 0 to {most}, got {number}")
     return int(number)
-
-
-def _check_type(splats: Splats | PackedSplats) -> None:
-    if not isinstance(splats, Splats | PackedSplats):
-        kind = type(splats).__name__
-        raise TypeError(f"splats: expected Splats, got {kind}; rosplat_core.load reads a file")
 
 
 def _checked_stamp(stamp: Time | None) -> _Time | None:

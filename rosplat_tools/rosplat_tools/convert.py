@@ -8,10 +8,12 @@ import sys
 from tqdm import tqdm
 
 from rosplat_core.formats import SUFFIXES, SceneError, axes, check_output, load, save
+from rosplat_core.log_text import shown
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
 from rosplat_core.round_trip import report
 from rosplat_core.scenes import NAMES, load_scene
+from rosplat_core.splats import LONGEST_ERROR
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -49,10 +51,11 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
-    say(f"{options.output}: {len(back):,} splats, SH degree {back.sh_degree}")
+    output = shown(options.output, LONGEST_ERROR)
+    say(f"{output}: {len(back):,} splats, SH degree {back.sh_degree}")
     say(errors)
     if read_as.up not in (None, splats.up):
-        warn(f"programs that read {options.output} take its axes for {read_as.text}")
+        warn(f"programs that read {output} take its axes for {read_as.text}")
     return 0
 
 

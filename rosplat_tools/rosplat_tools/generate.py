@@ -7,8 +7,11 @@ import sys
 
 from rosplat_core.formats import SUFFIXES, SceneError, check_output, save
 from rosplat_core.generated import SCENES, generate
+from rosplat_core.log_text import shown
+from rosplat_core.program.numbers import whole_number
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
+from rosplat_core.splats import LONGEST_ERROR
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -16,7 +19,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="generate", description=__doc__)
     parser.add_argument("output", help=f"scene to write ({SUFFIXES})")
     parser.add_argument("--scene", choices=SCENES, default="garden", help="default: %(default)s")
-    parser.add_argument("--count", type=int, default=500_000, help="splats (default: %(default)s)")
+    parser.add_argument(
+        "--count",
+        type=whole_number,
+        default=500_000,
+        help="splats, as 20k or 5M (default: %(default)s)",
+    )
     parser.add_argument(
         "--seed", type=int, default=0, help="seed of the random numbers (default: %(default)s)"
     )
@@ -41,7 +49,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
-    say(f"{options.output}: {options.count:,} splats")
+    say(f"{shown(options.output, LONGEST_ERROR)}: {options.count:,} splats")
     return 0
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from rosplat_core.cameras import UP, orbit, place
 from rosplat_core.depth import LEAST_ALPHA
 from rosplat_core.formats import SceneError, axes, format_of, gltf, scene_file, streamed_sog
+from rosplat_core.log_text import shown
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
 from rosplat_core.rendering import CpuRenderer, posed, psnr_of
@@ -18,6 +19,7 @@ from rosplat_core.scenes import NAMES, is_generated, read_scene
 from rosplat_core.splats import Splats
 
 VIEWS = 8  # in which two orders of drawing are compared
+LONGEST_ROW = 10_000  # of what a file's or a path's text makes of one [characters]
 QUANTILES = (0.0, 0.01, 0.5, 0.99, 1.0)
 
 
@@ -57,7 +59,7 @@ def describe(path: str | Path) -> str:
             rows[name] = " ".join(f"{v:9.3g}" for v in np.quantile(values, QUANTILES))
     if left_out:
         rows["note"] = "; ".join(left_out)
-    return "\n".join(f"{name:<12} {value}" for name, value in rows.items())
+    return "\n".join(f"{name:<12} {shown(value, LONGEST_ROW)}" for name, value in rows.items())
 
 
 def _format(name: str) -> str:

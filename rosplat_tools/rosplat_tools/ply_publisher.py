@@ -17,7 +17,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.program.output import told
 from rosplat_core.program.progress import bar
 from rosplat_core.scenes import NAMES, is_generated, load_scene_into
-from rosplat_core.splats import PackedSplats, SceneError
+from rosplat_core.splats import LONGEST_ERROR, PackedSplats, SceneError
 from rosplat_msgs.srv import LoadScene, SaveMap
 from rosplat_ros.map_publisher import MapPublisher
 from rosplat_ros.program.files_below import check_below
@@ -163,6 +163,7 @@ class PlyPublisher(Node):
         except Exception as error:  # no file may end the node
             response.message = str(error) if isinstance(error, SceneError) else f"{error!r}"
             self.get_logger().error(f"not loaded, the map stays: {shown(response.message, 500)}")
+        response.message = shown(response.message, LONGEST_ERROR)
         response.splats = len(self._map)
         return response
 
@@ -178,6 +179,7 @@ class PlyPublisher(Node):
             response.success = True
         except Exception as error:  # no request may end the node
             response.message = told(error)
+        response.message = shown(response.message, LONGEST_ERROR)
         return response
 
 

@@ -41,10 +41,11 @@ from rosplat_core.formats.decoded import (
     Progress,
     Warn,
 )
+from rosplat_core.log_text import shown
 from rosplat_core.program.files import replacing
 from rosplat_core.program.progress import watched
 from rosplat_core.slot_order import space_order
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import LONGEST_ERROR, SceneError, Splats, check_splats
 
 __all__ = [
     "FORMATS",
@@ -146,20 +147,24 @@ def load(
     """
     if progress is not None:
         return load_into(IntoSplats(), path, progress, warn)
-    with watched("reading") as shown:
-        return load_into(IntoSplats(), path, shown, warn)
+    with watched("reading") as bar:
+        return load_into(IntoSplats(), path, bar, warn)
 
 
 def load_into(into: Into[Made], path: str | Path, progress: Progress, warn: Warn) -> Made:
     """As load, with splats of the kind that `into` makes."""
+
+    def said(text: str) -> None:
+        warn(shown(text, LONGEST_ERROR))
+
     with _told(Path(path)):
         file, candidates = folders.newest(Path(path))
     if file != Path(path):
-        warn(f"{path}: {file.relative_to(path)} is read, the newest of {candidates}")
+        said(f"{path}: {file.relative_to(path)} is read, the newest of {candidates}")
     module = format_of(file)
     # A number that overflows is not finite in the end, and is dropped with its splat.
     with _told(file), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        made: Made = module.read(file, progress, warn, into)
+        made: Made = module.read(file, progress, said, into)
     progress(1.0)
     return replace(made, up=axes(file).up)
 
@@ -197,6 +202,7 @@ def save(path: str | Path, splats: Splats, *, overwrite: bool = False) -> Splats
     the log. Raises SceneError for an ending that can't be written, splats that a format has no way
     to write, a place that can't be written to, or too little memory.
     """
+    check_splats(splats)
     path = Path(path)
     check_output(path, overwrite)
     writer = _writer(path)

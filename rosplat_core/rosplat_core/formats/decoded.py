@@ -256,6 +256,6 @@ def told_drops(kept: NDArray[np.bool_]) -> str:
     if not dropped:
         return ""
     return (
-        f"dropped {dropped:,} of {len(kept):,} splats: "
-        "a number that is not finite, a negative scale, or a quaternion of length zero"
+        f"dropped {dropped:,} of {len(kept):,} splats: a number that is not finite, "
+        "a negative scale (a logarithm?), or a quaternion of length zero"
     )

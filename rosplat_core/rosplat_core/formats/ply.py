@@ -25,6 +25,7 @@ from rosplat_core.channels import is_name
 from rosplat_core.formats.bounds import claim, size_of
 from rosplat_core.formats.decoded import (
     AS_TRAINED,
+    BLOCK,
     Axes,
     Floats,
     Into,
@@ -69,6 +70,7 @@ ANCHOR = "f_anchor_feat_0"
 HIGHEST_DEGREE = 10  # of harmonics
 
 HALVES = ("f2", "u2", "i2")  # types that half floats are written as
+TELLING = 16  # splats that tell what their numbers mean
 BRIGHTEST = 2.0  # of colours from 0 to 1, with what a trainer overshoots
 
 PARSING = 0.9  # share of the time to read a text PLY
@@ -126,6 +128,7 @@ def from_rows(
     color: list[str] = _color_names(rows)
     filters: list[str] = [FILTER] if FILTER in have else []
     _require_numbers(path, rows, [*POSITION, "opacity", *color, *scale, *rotation, *filters])
+    _warn_of_linear(path, rows, scale, warn)
     channels = _channels(path, rows, warn)
     rest = rest_names(path, rows, warn)
     white = None if color is COLOR else _white(rows, color)
@@ -208,6 +211,15 @@ def _channels(path: Path, rows: Rows, warn: Warn) -> dict[str, Floats]:
         left = len(further) - len(kept)
         warn(f"{path}: left out {left} properties: a map has {MOST_CHANNELS} channels of ASCII")
     return {name: np.empty(len(rows), np.float32) for name in kept}
+
+
+def _warn_of_linear(path: Path, rows: Rows, scale: list[str], warn: Warn) -> None:
+    """Says so where scales or opacities look like what they are the logarithms and logits of."""
+    some = rows[: min(len(rows), BLOCK)]
+    for names, what in ((scale, "logarithms"), (["opacity"], "logits")):
+        values = _columns(some, names)
+        if len(some) >= TELLING and ((values > 0) & (values <= 1)).all():
+            warn(f"{path}: {names[0]} is from 0 to 1 in all splats: no {what}, as a PLY has them?")
 
 
 def _with_halves(element: Element) -> Element:

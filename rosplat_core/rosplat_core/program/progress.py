@@ -17,9 +17,17 @@ def bar(what: str, total: float = 1.0) -> tqdm[None]:
 @contextmanager
 def watched(what: str) -> Iterator[Callable[[float], None]]:
     """Shows a bar; yields the function to call with the progress, 0 to 1."""
-    with bar(what) as shown:
+    with watched_tasks() as tell:
+        yield lambda part: tell(what, part)
 
-        def tell(part: float) -> None:
+
+@contextmanager
+def watched_tasks() -> Iterator[Callable[[str, float], None]]:
+    """As watched; the function is called with what is being done, too."""
+    with bar("") as shown:
+
+        def tell(what: str, part: float) -> None:
+            shown.set_description_str(what, refresh=False)
             shown.update(part - shown.n)
 
         yield tell

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from numbers import Integral
+from numbers import Integral, Real
 
 import numpy as np
 
 from rosplat_core.cameras import Camera
 from rosplat_core.formats.decoded import Columns, told_drops, usable
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.program.progress import watched_tasks
+from rosplat_core.splats import SceneError, Splats, check_splats
 
 _log = logging.getLogger(__name__)
 
@@ -31,29 +32,36 @@ def simplify(
     for refitting the splats that are left to pictures of the map, which raises the PSNR [s].
     cameras: a path, if only views along it matter; splats that these miss least are left out.
     margin: most distance of such views from the path [m], by default a quarter of the way to the
-    nearest splats. Splats that can't be drawn are dropped, with a warning in the log, as loading
-    drops them. Raises SceneError for an empty map or path, a max_splats that is not whole, a
-    negative margin, and unless exactly one of psnr and max_splats is given, above 0.
+    nearest splats. A terminal shows a bar. Splats that can't be drawn are dropped, with a warning
+    in the log, as loading drops them. Raises SceneError for an empty map or path, a number of
+    another kind, a negative margin, and unless exactly one of psnr and max_splats is given, above
+    0.
     """
     from rosplat_core.simplification.search import Simplification  # scipy takes its time
 
+    check_splats(splats, "simplify: splats")
+    for name, value, kind, expected in (
+        ("max_splats", max_splats, Integral, "a whole number"), ("psnr", psnr, Real, "dB"),
+        ("margin", margin, Real, "metres"), ("refine", refine, Real, "seconds"),
+    ):  # fmt: skip
+        if value is not None and not isinstance(value, kind):
+            raise SceneError(f"simplify: {name} is {value!r}, expected {expected}")
     bound = psnr if max_splats is None else max_splats
     if bound is None or (psnr is None) == (max_splats is None) or not bound > 0:
         raise SceneError(f"simplify: give psnr or max_splats, above 0; got {psnr} and {max_splats}")
-    if max_splats is not None and not isinstance(max_splats, Integral):
-        raise SceneError(f"simplify: max_splats is {max_splats}, expected a whole number")
     if margin is not None and not margin >= 0:
         raise SceneError(f"simplify: margin is {margin}, expected a distance in metres, 0 or more")
     splats = _drawn(splats)
     if not len(splats):
         raise SceneError("simplify: the map has no splats")
-    work = Simplification(splats, path=cameras, margin=margin)
-    if psnr is not None:
-        work.shrink(psnr)
-    elif max_splats is not None:
-        work.reduce(max_splats)
-    if refine > 0:
-        work.refine(refine)
+    with watched_tasks() as tell:
+        work = Simplification(splats, tell, cameras, margin)
+        if psnr is not None:
+            work.shrink(psnr)
+        elif max_splats is not None:
+            work.reduce(max_splats)
+        if refine > 0:
+            work.refine(refine)
     return work.splats
 
 

@@ -237,7 +237,8 @@ void PublishedMap::move(const Poses& poses, const When& stamp) {
 void PublishedMap::warnOf(std::size_t left_out) {
   if (left_out == 0) return;
   wire_.warn(std::to_string(left_out) +
-             " splats are left out: a value is not finite, a scale negative or a quaternion zero");
+             " splats are left out: a value is not finite, a scale negative (a logarithm?) or a "
+             "quaternion zero");
 }
 
 // --- Sending -------------------------------------------------------------------------------------

@@ -24,10 +24,10 @@ from pathlib import Path
 from rosplat_core.formats import SUFFIXES, check_output, load, save
 from rosplat_core.program.files import write_text
 from rosplat_core.program.output import say, told
-from rosplat_core.program.progress import bar, watched
+from rosplat_core.program.progress import watched, watched_tasks
 from rosplat_core.rendering import MOST_PSNR
 from rosplat_core.scenes import NAMES, load_scene
-from rosplat_core.simplification.search import LEARNT, Progress, Quality, Simplification
+from rosplat_core.simplification.search import LEARNT, Quality, Simplification
 from rosplat_core.simplification.views import CHECKED, HEIGHT, HELD, MARGIN, WIDTH, whereabouts
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import SceneError, Splats
@@ -166,7 +166,7 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
     except SceneError as error:
         raise SceneError(f"{options.input}: {error}") from error
     read, processor = time.monotonic(), time.process_time()
-    with ExitStack() as drafts, _shown() as tell:
+    with ExitStack() as drafts, watched_tasks() as tell:
         output = Output(out, drafts)
         work = Simplification(splats, tell, path, options.margin)
         written, quality = _within(work, output, *bounds, 60 * options.refine)
@@ -338,18 +338,6 @@ def _folder_beside(out: Path) -> Iterator[Path]:
         ) from error
     with folder as name:
         yield Path(name)
-
-
-@contextmanager
-def _shown() -> Iterator[Progress]:
-    """A bar for what is being done."""
-    with bar("") as shown:
-
-        def tell(what: str, part: float) -> None:
-            shown.set_description_str(what, refresh=False)
-            shown.update(part - shown.n)
-
-        yield tell
 
 
 def _warn(text: str) -> None:
