@@ -12,6 +12,7 @@ from typing import Any, Protocol
 from geometry_msgs.msg import Point, Pose, Quaternion
 
 from rosplat_core.maps import Arrival
+from rosplat_core.models import Model
 from rosplat_core.payload import PACKED, QUANTISED
 from rosplat_msgs.msg import GaussianArray
 from rosplat_testing.messages import decode, encode
@@ -37,7 +38,7 @@ class Receiver(Protocol):
     """Whoever holds a map: what a receiver does not know of it is None."""
 
     origin: tuple[float, float, float] | None
-    antialiased: bool | None
+    model: int | None
     revision: int | None
     missed: int | None
     channels: tuple[str, ...]
@@ -119,7 +120,7 @@ class Case:
     batches: tuple[Batch, ...]
     in_use: tuple[int, ...] = ()  # slots; none of the others
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    antialiased: bool = False
+    model: int = Model.EWA
     missed: int = 0
     places: dict[int, tuple[float, float, float]] = field(default_factory=dict)  # by group
     channels: tuple[str, ...] = ()
@@ -222,7 +223,7 @@ CASES = (
     Case("the highest slot", (_replace(1, first_slot=MOST - 1),), in_use=(MOST - 1,)),
     Case("nothing at all", (_replace(2), _upsert(), _delete()), in_use=(0, 1)),
     Case("expected_slots is a hint", (_replace(2, expected_slots=2**32 - 1),), in_use=(0, 1)),
-    # Origin and antialiasing are those of the first splats since the map was empty.
+    # Origin and model are those of the first splats since the map was empty.
     Case(
         "the origin of the first splats",
         (_replace(2, origin=FAR), _upsert(2, first_slot=4)),
@@ -237,23 +238,23 @@ CASES = (
     ),
     Case(
         "a delete heard first has none",
-        (_delete(5, antialiased=False), _upsert(2, origin=FAR, antialiased=True)),
+        (_delete(5, model=Model.EWA), _upsert(2, origin=FAR, model=Model.RAY)),
         in_use=(0, 1),
         origin=FAR,
-        antialiased=True,
+        model=Model.RAY,
     ),
     Case(
         "an empty replace has none",
-        (_replace(), _upsert(2, origin=FAR, antialiased=True)),
+        (_replace(), _upsert(2, origin=FAR, model=Model.RAY)),
         in_use=(0, 1),
         origin=FAR,
-        antialiased=True,
+        model=Model.RAY,
     ),
     Case(
-        "antialiasing is the first splats'",
-        (_replace(1, antialiased=True), _upsert(2)),
+        "the model is the first splats'",
+        (_replace(1, model=Model.RAY), _upsert(2)),
         in_use=(0, 1),
-        antialiased=True,
+        model=Model.RAY,
     ),
     # Losses and repeats.
     Case("a gap is counted", (_replace(1), _upsert(2, revision=5)), in_use=(0, 1), missed=3),
@@ -419,6 +420,7 @@ CASES = (
     _refused("payload", "infinite bounds", payload=lambda bytes_: bytes_[:36] + INFS + bytes_[40:]),
     _refused("payload", "bounds the wrong way round", payload=lambda bytes_: UPSIDE + bytes_[8:]),
     _refused("sh_degree", "too many harmonics", fields={"sh_degree": 4}),
+    _refused("model", "an unknown model", fields={"model": 4}),
     _refused("origin", "an origin that is no number", fields={"origin": (0.0, NAN, 0.0)}),
     _refused("origin", "an infinite origin", fields={"origin": (INF, 0.0, 0.0)}),
     _refused("positions", "positions cut short", lengths={"positions": 5}),

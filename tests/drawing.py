@@ -13,6 +13,7 @@ from std_msgs.msg import Header
 
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera, look_at
+from rosplat_core.models import Model
 from rosplat_core.rendering import posed
 from rosplat_core.splats import Splats
 from rosplat_lab.bench.embedded import NumberedView
@@ -44,7 +45,7 @@ VIEWS: dict[str, dict[str, Any]] = {  # of camera_at()
 CAMERAS = {name: camera_at(**view) for name, view in VIEWS.items()}
 
 
-def cloud(antialiased: bool = False) -> Splats:
+def cloud(model: Model = Model.EWA) -> Splats:
     """Anisotropic splats of all opacities, as packed slots hold them but for size and rotation."""
     random = np.random.default_rng(4)
     count = 600
@@ -57,7 +58,7 @@ def cloud(antialiased: bool = False) -> Splats:
         scales=(0.15 * random.uniform(0.02, 1, size=(count, 3)) ** 2).astype(np.float32),
         opacities=(random.integers(0, 65536, count) / 65535).astype(np.float32),
         sh=random.normal(scale=0.8, size=(count, 1, 3)).astype(np.float16).astype(np.float32),
-        antialiased=antialiased,
+        model=model,
     )
 
 

@@ -69,11 +69,11 @@ def one_of(rng: Generator, values: Sequence[Any]) -> Any:
 
 def batches(rng: Generator) -> list[GaussianArray]:
     """Some batches of one map, half of them with one or two things wrong."""
-    antialiased = bool(rng.integers(2))
+    model = int(rng.integers(4))
     made = []
     for revision in range(1, int(rng.integers(2, 6))):
         message = _batch(rng, revision)
-        message.antialiased = antialiased
+        message.model = model
         for _ in range(one_of(rng, [0, 0, 1, 2])):
             damage(rng, message)
         made.append(message)

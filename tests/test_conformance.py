@@ -48,8 +48,8 @@ class Display:
         return tuple(self.map.channels)
 
     @property
-    def antialiased(self) -> bool:
-        return bool(self.map.antialiased)
+    def model(self) -> int:
+        return int(self.map.model)
 
     @property
     def revision(self) -> int:
@@ -104,8 +104,8 @@ class Twin:
         return tuple(self.map.snapshot()[1].channels)
 
     @property
-    def antialiased(self) -> bool:
-        return self.map.snapshot()[1].antialiased
+    def model(self) -> int:
+        return self.map.snapshot()[1].model
 
 
 @dataclass(frozen=True)
@@ -195,8 +195,8 @@ class Publisher:
         return tuple(self.map.groups()[0][3]["channels"])
 
     @property
-    def antialiased(self) -> bool:
-        return bool(self.map.groups()[0][3]["antialiased"])
+    def model(self) -> int:
+        return int(self.map.groups()[0][3]["model"])
 
 
 RECEIVERS = (Display, Sorter, Twin, Publisher)
@@ -226,7 +226,7 @@ def concerns(case: Case, receiver: type[Receiver]) -> bool:
     called = case.name not in NOT_CALLS and all(
         batch.refused not in NOT_ARGUMENTS for batch in case.batches
     )
-    return numbered and "antialiasing" not in case.name and (called or receiver is Twin)
+    return numbered and "the model" not in case.name and (called or receiver is Twin)
 
 
 @pytest.mark.parametrize(
@@ -252,7 +252,7 @@ def test_receivers_agree(receiver: type[Receiver], case: Case) -> None:
     assert [slot for slot in case.looked_at if target.in_use(slot)] == list(case.in_use)
     for known, expected in (
         (target.origin, case.origin),
-        (target.antialiased, case.antialiased),
+        (target.model, case.model),
         (target.missed, case.missed),
         (target.revision, revision),
     ):

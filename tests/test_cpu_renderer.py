@@ -15,8 +15,8 @@ from rosplat_core import rendering
 from rosplat_core.cameras import load_cameras
 from rosplat_core.formats import load
 from rosplat_core.generated import generate
+from rosplat_core.models import Model
 from rosplat_core.rendering import (
-    Antialiasing,
     CpuRenderer,
     Instructions,
     insert_all,
@@ -36,19 +36,21 @@ def renderer(request: pytest.FixtureRequest) -> CpuRenderer:
     return renderer
 
 
-@pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
+@pytest.mark.parametrize("model", Model, ids=str)
 @pytest.mark.parametrize("view", CAMERAS)
-def test_matches_the_float64_twin(renderer: CpuRenderer, view: str, antialiased: bool) -> None:
-    splats = cloud(antialiased)
+def test_matches_the_float64_twin(renderer: CpuRenderer, view: str, model: Model) -> None:
+    splats = cloud(model)
     insert_all(renderer, splats)
     drawn = draw(renderer, CAMERAS[view], mean_depth=True)
     expected = reference.render(splats, CAMERAS[view])
-    assert decibels(drawn["colour"], expected.rgba) >= 80
+    # Beside a camera inside a disc, packed rotations move its plane.
+    assert decibels(drawn["colour"], expected.rgba) >= (75 if model is Model.DISC else 80)
     alpha = expected.rgba[..., 3]
     error = np.abs(drawn["depth"][..., 0] - expected.depth)[alpha > 0.05]
     assert error.mean() < 2e-4  # [m]
-    # A splat next to the cutoff, on one side here and on the other there, is a 255th of a pixel.
-    assert (error * alpha[alpha > 0.05]).max() < 2 / 255
+    # A splat next to the cutoff, on one side here and on the other there, is a 255th of a pixel. A
+    # disc's spot is not at the depth of its plane.
+    assert (error * alpha[alpha > 0.05]).max() < (4 if model is Model.DISC else 2) / 255
     assert expected.rgba.max() > 0.5  # there was something to see
 
 
@@ -83,10 +85,10 @@ def test_maps_beside_each_other_match_the_twin_of_their_union(
         draw(renderer, CAMERAS[view], beside=others, order=np.zeros(1, np.uint32))
 
 
-def test_antialiasing_can_be_forced(renderer: CpuRenderer) -> None:
+def test_a_model_can_be_forced(renderer: CpuRenderer) -> None:
     insert_all(renderer, cloud())
-    renderer.settings.antialiasing = Antialiasing.ON
-    expected = reference.render(cloud(antialiased=True), CAMERAS["outside"]).rgba
+    renderer.settings.model = Model.EWA_ANTIALIASED
+    expected = reference.render(cloud(Model.EWA_ANTIALIASED), CAMERAS["outside"]).rgba
     assert decibels(draw(renderer, CAMERAS["outside"])["colour"], expected) >= 80
 
 

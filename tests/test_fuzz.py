@@ -152,7 +152,7 @@ def receive() -> Claims:
                 with contextlib.suppress(ValueError):
                     apply(drawing, message)
             numbered &= (message.revision, message.map_id) == (number, "map")
-            numbered &= message.antialiased == batches[0].antialiased
+            numbered &= message.model == batches[0].model
             if results[0] == "refused":
                 numbered = False
             elif numbered:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rosplat_core._core import Refit, RefitRates
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.generated import generate
+from rosplat_core.models import Model
 from rosplat_core.rendering import CpuRenderer, Instructions, posed
 from rosplat_core.simplification.refitting import RATES, picture
 from rosplat_core.simplification.search import Judge, Trial
@@ -32,7 +33,7 @@ class Exact:
     orientations: Array
     logits: Array
     sh: Array
-    antialiased: bool
+    model: Model
     origin: Array
 
     def __len__(self) -> int:
@@ -63,7 +64,7 @@ class Exact:
         )  # fmt: skip
 
 
-def scene(degree: int, antialiased: bool) -> Exact:
+def scene(degree: int, model: Model) -> Exact:
     random = np.random.default_rng(degree)
     orientations = random.normal(size=(COUNT, 4))
     return Exact(
@@ -72,7 +73,7 @@ def scene(degree: int, antialiased: bool) -> Exact:
         orientations=orientations / np.linalg.norm(orientations, axis=1, keepdims=True),
         logits=random.uniform(-1, 3, COUNT),
         sh=random.normal(size=(COUNT, (degree + 1) ** 2, 3)) * 0.3,
-        antialiased=antialiased,
+        model=model,
         origin=np.array([3.0, -2.0, 1.0]),
     )
 
@@ -87,7 +88,7 @@ def refit_of(splats: Exact, instructions: Instructions = Instructions.BEST) -> R
     arrays = (splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh)
     return Refit(
         *(np.ascontiguousarray(array, np.float32) for array in arrays), tuple(splats.origin),
-        splats.antialiased, instructions=instructions,
+        splats.model, instructions=instructions,
     )  # fmt: skip
 
 
@@ -95,18 +96,18 @@ def renderer_of(splats: Exact) -> CpuRenderer:
     return CpuRenderer(
         Splats(
             splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh,
-            antialiased=splats.antialiased, origin=splats.origin,
+            model=splats.model, origin=splats.origin,
         )
     )  # fmt: skip
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
-@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("model", [Model.EWA, Model.EWA_ANTIALIASED])
 @pytest.mark.parametrize("degree", [0, 3])
 def test_gradients_are_those_of_the_reference(
-    degree: int, antialiased: bool, orthographic: bool
+    degree: int, model: Model, orthographic: bool
 ) -> None:
-    splats, seen = scene(degree, antialiased), camera(orthographic)
+    splats, seen = scene(degree, model), camera(orthographic)
     target = np.random.default_rng(7).uniform(0, 1, (seen.height, seen.width, 3))
 
     def error(values: Array) -> float:
@@ -132,7 +133,7 @@ def test_gradients_are_those_of_the_reference(
 
 
 def test_vector_instructions_make_no_difference() -> None:
-    splats, seen = scene(3, antialiased=False), camera(orthographic=False)
+    splats, seen = scene(3, Model.EWA), camera(orthographic=False)
     target = np.full((seen.height, seen.width, 3), 0.3, np.float32)
     plain, best = (
         refit_of(splats, instructions).gradient_at(posed(seen), target)
@@ -143,7 +144,7 @@ def test_vector_instructions_make_no_difference() -> None:
 
 
 def test_a_part_of_a_view_has_that_view_s_pixels() -> None:
-    splats, seen = scene(1, antialiased=False), posed(camera(orthographic=False))
+    splats, seen = scene(1, Model.EWA), posed(camera(orthographic=False))
     whole = picture(renderer_of(splats), seen)
     part = seen.crop(9, 5, 20, 16)
     error, _ = refit_of(splats).gradient_at(part, np.ascontiguousarray(whole[5:21, 9:29]))
@@ -160,7 +161,7 @@ def test_steps_bring_back_what_was_changed() -> None:
     renderer = CpuRenderer(full)
     fitting = Refit(
         start.positions, start.orientations, start.scales, start.opacities, start.sh,
-        tuple(start.origin), start.antialiased,
+        tuple(start.origin), start.model,
     )  # fmt: skip
     rates = RefitRates(**{name: 3 * rate for name, rate in RATES.items()})
     for seen in map(posed, cameras):
@@ -171,7 +172,7 @@ def test_steps_bring_back_what_was_changed() -> None:
 
 
 def test_arrays_of_different_lengths_are_refused() -> None:
-    splats = scene(1, antialiased=False)
+    splats = scene(1, Model.EWA)
     with pytest.raises(ValueError, match="not of the same splats"):
         refit_of(replace(splats, logits=splats.logits[1:]))
     with pytest.raises(ValueError, match="splat 2 has values that draw nothing"):
@@ -179,4 +180,4 @@ def test_arrays_of_different_lengths_are_refused() -> None:
         refit_of(splats)
     target = np.zeros((2, 2, 3), np.float32)
     with pytest.raises(ValueError, match="target: expected RGB in each of the camera's pixels"):
-        refit_of(scene(1, antialiased=False)).gradient_at(posed(camera(orthographic=False)), target)
+        refit_of(scene(1, Model.EWA)).gradient_at(posed(camera(orthographic=False)), target)

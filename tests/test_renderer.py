@@ -18,8 +18,8 @@ import drawing
 from drawing import decibels
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.maps import BatchError
+from rosplat_core.models import Model
 from rosplat_core.rendering import (
-    Antialiasing,
     ClipBox,
     DrawMode,
     OrderSource,
@@ -57,7 +57,7 @@ class Host:
             "count": len(splats),
             "slots": NO_SLOTS,
             "sh_degree": splats.sh_degree,
-            "antialiased": splats.antialiased,
+            "model": splats.model,
             "origin": tuple(splats.origin),
             "positions": splats.positions.ravel(),
             "orientations": splats.orientations.ravel(),
@@ -180,12 +180,12 @@ def test_half_floats_stay_below_a_grey_level(host: Host) -> None:
 
 
 def test_antialiased_models_keep_their_opacity_compensation(host: Host) -> None:
-    splats = replace(cloud(2000, size=0.01), antialiased=True)
+    splats = replace(cloud(2000, size=0.01), model=Model.EWA_ANTIALIASED)
     expected = reference.render(splats, CAMERAS["outside"]).rgba
     host.show(splats)
     host.set(float_blending=True)
     assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70
-    plain = reference.render(replace(splats, antialiased=False), CAMERAS["outside"]).rgba
+    plain = reference.render(replace(splats, model=Model.EWA), CAMERAS["outside"]).rgba
     assert decibels(plain, expected) < 40
 
 
@@ -674,11 +674,12 @@ def test_a_single_band_alone(host: Host) -> None:
 
 
 @pytest.mark.parametrize("on", [True, False])
-def test_antialiasing_can_be_forced(host: Host, on: bool) -> None:
-    splats = replace(cloud(2000, size=0.01), antialiased=not on)
+def test_a_model_can_be_forced(host: Host, on: bool) -> None:
+    models = [Model.EWA, Model.EWA_ANTIALIASED]
+    splats = replace(cloud(2000, size=0.01), model=models[not on])
     host.show(splats)
-    host.set(antialiasing=Antialiasing.ON if on else Antialiasing.OFF, float_blending=True)
-    expected = reference.render(replace(splats, antialiased=on), CAMERAS["outside"]).rgba
+    host.set(model=models[on], float_blending=True)
+    expected = reference.render(replace(splats, model=models[on]), CAMERAS["outside"]).rgba
     assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70
 
 

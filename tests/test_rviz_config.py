@@ -35,7 +35,7 @@ MAP: dict[str, Any] = {
     "SH Degree": "2",
     "SH Degree/SH Band": "1",
     "Order Source": "Built-in",
-    "Antialiasing": "On",
+    "Model": "EWA Antialiased",
     "Detail": "2 px",
     "Float Blending": True,
     "Near Fade": 0.25,

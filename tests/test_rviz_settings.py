@@ -31,7 +31,7 @@ CHANGES = [
     ("SH Degree/SH Band", "0"),
     ("SH Degree/SH Band", "3"),
     ("Order Source", "Off"),
-    ("Antialiasing", "On"),
+    ("Model", "EWA Antialiased"),
     ("Near Fade", 6.0),
     ("Clip Box", True),
 ]

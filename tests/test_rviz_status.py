@@ -242,8 +242,8 @@ def test_where_pictures_fail_is_told_while_it_lasts(rviz: Rviz, world: World) ->
     silent()
     millimetre = np.full((1, 3), 0.001, np.float32)  # a tenth of a pixel
     world.map.replace(replace(disc((1, 0, 0)), scales=millimetre))
-    rviz.until_status("Map", "Accuracy", "Warn", "smaller than a pixel", "Antialiasing")
-    rviz.set("Map", "Antialiasing", value="On")
+    rviz.until_status("Map", "Accuracy", "Warn", "smaller than a pixel", "EWA Antialiased")
+    rviz.set("Map", "Model", value="EWA Antialiased")
     silent()
     world.map.replace(disc((1, 0, 0), x=1e6, sigma=0.1))
     rviz.until_status("Map", "Accuracy", "Warn", "relative to an origin")

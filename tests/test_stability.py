@@ -73,7 +73,7 @@ def test_what_is_known_to_fail_does(curves: dict[str, Curves]) -> None:
     """Else a case is no longer difficult, and its survivors prove nothing."""
     for case, curve in [
         ("wide_view", "EWA against exact rays"),
-        ("zoomed_out", "As Trained, +0.3 px²"),
+        ("zoomed_out", "EWA, +0.3 px²"),
         ("far_away", "without an origin"),
         ("outliers", "linear keys of 16 bits"),
         ("depth_range", "linear keys of 16 bits"),
@@ -92,7 +92,7 @@ def test_one_translucent_surface_is_right_and_several_are_not(curves: dict[str, 
 
 
 def test_what_helps_helps(curves: dict[str, Curves]) -> None:
-    helped, trained = (curves["zoomed_out"][name] for name in ("Antialiasing: On", TRAINED))
+    helped, trained = (curves["zoomed_out"][name] for name in ("EWA Antialiased", TRAINED))
     assert min(helped) > max(trained)
     (fading,) = curves["near_plane"].values()
     assert fading[0] > 2 * fading[-1]
@@ -103,4 +103,4 @@ def test_what_helps_helps(curves: dict[str, Curves]) -> None:
     assert all(w >= n for n, w in zip(narrow, wide, strict=True))
 
 
-TRAINED = "As Trained, +0.3 px²"
+TRAINED = "EWA, +0.3 px²"

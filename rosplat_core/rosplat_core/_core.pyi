@@ -95,7 +95,7 @@ class GaussianMap:
     @property
     def channels(self) -> list[str]: ...
     @property
-    def antialiased(self) -> bool: ...
+    def model(self) -> int: ...
     @property
     def sample(self) -> NDArray[np.float64]: ...
 
@@ -152,7 +152,7 @@ class PublishedBatch:
     sh_degree: int
     format: str
     payload: NDArray[np.uint8]
-    antialiased: bool
+    model: int
     origin: list[float]
     channel_names: list[str]
     channels: NDArray[np.float32]
@@ -211,11 +211,6 @@ class ChannelColours:
     CATEGORIES: ClassVar[ChannelColours]
     GRADIENT: ClassVar[ChannelColours]
 
-class Antialiasing:
-    AS_TRAINED: ClassVar[Antialiasing]
-    ON: ClassVar[Antialiasing]
-    OFF: ClassVar[Antialiasing]
-
 class OrderSource:
     __members__: ClassVar[dict[str, OrderSource]]
     AUTO: ClassVar[OrderSource]
@@ -242,7 +237,7 @@ class RenderSettings:
     interactive: bool
     scale: float
     opacity: float
-    antialiasing: Antialiasing
+    model: int | None
     order: OrderSource
     rasterizer: Rasterizer
     profile: bool

@@ -14,12 +14,17 @@ The projection (EWA; Zwicker et al. 2001, Kerbl et al. 2023) has, along u, the v
     c = J V J' + 0.3 px²,    J = fx (1/z, 0, -tan/z)   with |tan| clamped to what `slope` holds
       <= s² fx² (1 + tan²) / z² + 0.3                  with s the largest standard deviation
 
-so k sqrt(c) <= k s fx sqrt(1 + tan²) / z + k sqrt(0.3), whose last term is below the 2 px margin.
+so k sqrt(c) <= k s fx sqrt(1 + tan²) / z + k sqrt(0.3), whose last term is below the 2.5 px margin.
 With the extent e = k s, and multiplied by z, the splat can touch the picture only if
 
-    |fx x + (cx - width/2) z| <= (width/2 + 2) z + fx sqrt(1 + tan²) e
+    |fx x + (cx - width/2) z| <= (width/2 + 2.5) z + fx sqrt(1 + tan²) e
 
 and alike along v. Orthographic, J is constant: z becomes 1 and the tangent 0.
+
+The same holds for splats that are evaluated along rays, and for discs. A ray of the picture that
+comes within e of p lies, like the whole picture, on one side of each border's plane, fx x + (cx -
+width) z = 0 say, and that plane's normal has the length of fx sqrt(1 + tan²), tan the border's own,
+or less. A disc's spot is within the margin of its outline.
 """
 
 from __future__ import annotations

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from rosplat_core import _core
 from rosplat_core.cameras import Camera
 from rosplat_core.maps import MOVE, REPLACE, UPSERT
+from rosplat_core.models import Model
 from rosplat_core.splats import Splats, check_splats
 
-Antialiasing = _core.Antialiasing
 ChannelColours = _core.ChannelColours
 ClipBox = _core.ClipBox
 Contributions = _core.Contributions
@@ -120,7 +120,7 @@ def insert(renderer: Any, splats: Splats, part: slice, revision: int) -> None:
     """Writes a part of the splats to a renderer's slots of the same numbers; revision 1 begins."""
     renderer.apply(
         REPLACE if revision == 1 else UPSERT, part.start, part.stop - part.start, _NO_SLOTS,
-        splats.sh_degree, splats.antialiased, tuple(splats.origin.tolist()),
+        splats.sh_degree, splats.model, tuple(splats.origin.tolist()),
         splats.positions[part].ravel(), splats.orientations[part].ravel(),
         splats.scales[part].ravel(), splats.opacities[part], splats.sh[part].ravel(),
         MAP, revision, len(splats),
@@ -141,7 +141,7 @@ def edit(
     """UPSERT: writes splats to the slots. DELETE: empties the slots, with splats of length 0."""
     renderer.apply(
         operation, 0, len(slots), slots.astype(np.uint32),
-        splats.sh_degree, splats.antialiased, tuple(splats.origin.tolist()),
+        splats.sh_degree, splats.model, tuple(splats.origin.tolist()),
         splats.positions.ravel(), splats.orientations.ravel(),
         splats.scales.ravel(), splats.opacities, splats.sh.ravel(), MAP, revision,
     )  # fmt: skip
@@ -151,7 +151,7 @@ def move(renderer: Any, poses: Mapping[int, Sequence[float]], revision: int) -> 
     """Gives groups poses in the map's frame: position x y z [m], quaternion x y z w."""
     none: NDArray[np.float32] = np.zeros(0, np.float32)
     renderer.apply(
-        MOVE, 0, 0, _NO_SLOTS, 0, False, (0.0, 0.0, 0.0), none, none, none, none, none, MAP,
+        MOVE, 0, 0, _NO_SLOTS, 0, Model.EWA, (0.0, 0.0, 0.0), none, none, none, none, none, MAP,
         revision, groups=np.array(list(poses), np.uint32),
         poses=np.array(list(poses.values()), np.float64).ravel(),
     )  # fmt: skip

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from rosplat_core import harmonics
 from rosplat_core.channels import joined
 from rosplat_core.log_text import shown
+from rosplat_core.models import Model
 from rosplat_core.quaternions import from_matrices, product
 
 _log = logging.getLogger(__name__)
@@ -62,8 +63,8 @@ class Splats:
     """(n, k, 3) spherical harmonics, k = (degree + 1)^2, RGB last."""
     origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     """(3,) added to each position in float64. [m]"""
-    antialiased: bool = False
-    """Trained with opacity compensation for the 2D low-pass filter (Mip-Splatting)."""
+    model: Model = Model.EWA
+    """How they become pixels, which is how they were trained; a name such as "ray" will do."""
     up: tuple[float, float, float] | None = None
     """The vertical, a unit vector in these coordinates; None where nobody told it."""
     channels: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
@@ -79,7 +80,7 @@ class Splats:
         sh0: ArrayLike,
         shN: ArrayLike | None = None,
         *,
-        antialiased: bool = False,
+        model: Model | str = Model.EWA,
         channels: Mapping[str, ArrayLike] | None = None,
     ) -> Splats:
         """Makes splats of a trainer's parameters, NumPy arrays or torch tensors on any device.
@@ -108,7 +109,7 @@ class Splats:
             scales=np.broadcast_to(scales, (n, 3)),
             opacities=opacities,
             sh=bands[0] if len(bands) == 1 else np.concatenate(bands, axis=1),
-            antialiased=antialiased,
+            model=Model.of(model),
             channels={name: _host(values) for name, values in (channels or {}).items()},
         )
 
@@ -118,6 +119,7 @@ class Splats:
         Positions of another dtype than float32 are rebased: an origin takes over what float32 would
         lose of them.
         """
+        object.__setattr__(self, "model", Model.of(self.model))
         n = len(self.positions)
         positions = np.asarray(self.positions)
         if positions.dtype != np.float32 and positions.shape == (n, 3):
@@ -168,7 +170,7 @@ class Splats:
             with np.errstate(over="ignore", invalid="ignore"):
                 low, high = (f.reduce(self.positions) + self.origin for f in (np.fmin, np.fmax))
             told.append(f"from {_numbers(low)} to {_numbers(high)} m")
-        told += ["antialiased"] * self.antialiased
+        told += [f"model {self.model}"] * (self.model is not Model.EWA)
         told += [f"channels {', '.join(self.channels)}"] * bool(self.channels)
         return f"Splats({', '.join(told)})"
 
@@ -255,7 +257,7 @@ class PackedSplats:
     sh_degree: int
     """Highest band of spherical harmonics, 0 to 3."""
     origin: NDArray[np.float64]
-    antialiased: bool
+    model: Model
     channels: Mapping[str, NDArray[np.float32]]
     up: tuple[float, float, float] | None = None
 
@@ -351,13 +353,14 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
 
     Parts of one origin keep it and all of their bits; else most of the splats have a say in a new
     one. The vertical is that of all parts, or unknown. Where a part lacks a channel, its splats
-    have NaN. Raises ValueError without any part, when only some parts are antialiased, or for more
+    have NaN. Raises ValueError without any part, when parts are of different models, or for more
     channels than a map can have.
     """
     if not parts:
         raise ValueError("nothing to concatenate")
-    if len({part.antialiased for part in parts}) > 1:
-        raise ValueError("can't join antialiased splats with others: they are drawn differently")
+    if len(models := {part.model for part in parts}) > 1:
+        told = " and ".join(map(str, sorted(models)))
+        raise ValueError(f"can't join splats of the models {told}: they are drawn differently")
     first = parts[0]
     degree = max(part.sh_degree for part in parts)
     names = dict.fromkeys(name for part in parts for name in part.channels)

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.posed_camera import CameraError, PosedCamera
 
-# Half the low-pass filter's reach, 3.33 * sqrt(0.3) = 1.82 px, with room for rounding.
-MARGIN_PIXELS = 2.0
+# The reach of the low-pass filter, 3.33 * sqrt(0.3) = 1.82 px, and of a disc's spot, 3.33 *
+# sqrt(0.5) = 2.35 px, with room for rounding.
+MARGIN_PIXELS = 2.5
 # An order is culled to so many times the picture's size: by the time it is drawn, the camera has
 # moved on and sees more. 1.25 saves 11 dB after a turn of 3 degrees (docs/stability.md).
 OVERSCAN = 1.25

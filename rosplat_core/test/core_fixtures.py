@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rosplat_core.models import Model
 from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.splats import Splats
 
@@ -38,18 +39,19 @@ def reference() -> Callable[[str], Path]:
 
 
 def random_splats(
-    count: int, sh_degree: int = 3, seed: int = 0, antialiased: bool = False
+    count: int, sh_degree: int = 3, seed: int = 0, model: Model = Model.EWA
 ) -> Splats:
     """Splats of all orientations within a metre or so."""
     rng = np.random.default_rng(seed)
     orientations = rng.normal(size=(count, 4))
+    flat = (1, 1, model is not Model.DISC)
     return Splats(
         positions=rng.normal(size=(count, 3)).astype(np.float32),
         orientations=orientations / np.linalg.norm(orientations, axis=1, keepdims=True),
-        scales=np.exp(rng.uniform(-7, -1, (count, 3))),
+        scales=flat * np.exp(rng.uniform(-7, -1, (count, 3))),
         opacities=rng.uniform(0, 1, count).astype(np.float32),
         sh=rng.normal(size=(count, (sh_degree + 1) ** 2, 3)).astype(np.float32),
-        antialiased=antialiased,
+        model=model,
     )
 
 

@@ -99,8 +99,8 @@ TEST(SortView, IsThatOfTheTwinInPython) {  // test_view.py asserts the same numb
   EXPECT_EQ(view.fy, 0x1.024p+9f);
   EXPECT_EQ(view.offset_x, -0x1.666666p+0f);
   EXPECT_EQ(view.offset_y, 0x1.e9999ap+3f);
-  EXPECT_EQ(view.half_width, 402.0f);
-  EXPECT_EQ(view.half_height, 302.0f);
+  EXPECT_EQ(view.half_width, 402.5f);
+  EXPECT_EQ(view.half_height, 302.5f);
   EXPECT_EQ(view.slope_x, 0x1.1a7f08p+10f);
   EXPECT_EQ(view.slope_y, 0x1.03e01cp+10f);
   EXPECT_EQ(view.near_clip, 0x1.99999ap-5f);

@@ -19,7 +19,7 @@ namespace {
 constexpr std::uint32_t kSlots = 3000;
 
 // What a receiver holds, slot by slot: all words, those of absent bands zero, and extent.
-class Model {
+class Receiver {
  public:
   void apply(const GaussianEdit& edit) {
     if (edit.clear) slots_.clear(), poses_.clear();
@@ -54,7 +54,7 @@ class Model {
       ++i;
     });
   }
-  bool operator==(const Model& o) const { return slots_ == o.slots_ && poses_ == o.poses_; }
+  bool operator==(const Receiver& o) const { return slots_ == o.slots_ && poses_ == o.poses_; }
 
   using Poses = std::map<std::uint32_t, std::array<double, 3>>;  // positions, by group
   const Poses& poses() const { return poses_; }
@@ -113,9 +113,9 @@ TEST(EditQueue, WhatIsCoalescedLeavesWhatOneByOneDoes) {
     std::mt19937 random(seed);
     GaussianMap map;
     EditQueue queue(20000);  // bytes, so that most edits are coalesced
-    Model one_by_one, drawn;
+    Receiver one_by_one, drawn;
     MapState state;
-    std::vector<Model::Poses> poses{{}};  // by revision
+    std::vector<Receiver::Poses> poses{{}};  // by revision
     const auto take = [&] {
       const EditQueue::Waiting waiting = queue.pop();
       EXPECT_GE(waiting.state.revision, state.revision);
@@ -127,7 +127,7 @@ TEST(EditQueue, WhatIsCoalescedLeavesWhatOneByOneDoes) {
       EXPECT_NE(std::find(poses.begin(), poses.end(), drawn.poses()), poses.end());
       const GaussianEdit& edit = *waiting.edit;
       if (edit.sh_degree >= 0 && !edit.runs.empty()) {
-        const auto placeIn = [&edit](const Model::Poses& all) {
+        const auto placeIn = [&edit](const Receiver::Poses& all) {
           const auto found = all.find(edit.group);
           return found == all.end() ? std::array<double, 3>{} : found->second;
         };
@@ -204,7 +204,7 @@ TEST(EditQueue, PartsAddUpToTheirEdit) {
     const auto chance = [&](int in) { return std::uniform_int_distribution<>(1, in)(random) == 1; };
     GaussianMap map;
     EditQueue queue(20000);
-    Model one_by_one, drawn;
+    Receiver one_by_one, drawn;
     bool more = false;
     std::size_t parts = 0;
     const auto take = [&] {

@@ -13,6 +13,7 @@ import pytest
 
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.formats import SceneError, axes, load, save
+from rosplat_core.models import Model
 from rosplat_core.quaternions import to_matrices
 from rosplat_core.rendering import render
 from rosplat_core.splats import Splats
@@ -104,10 +105,10 @@ def test_a_splat_by_hand(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("degree", range(4))
 def test_round_trip(random_splats: Make, tmp_path: Path, degree: int) -> None:
-    splats = random_splats(20_000, degree, antialiased=degree == 2)
+    splats = random_splats(20_000, degree, model=Model(degree))
     save(tmp_path / "a.glb", splats)
     back = load(tmp_path / "a.glb")
-    for name in ("positions", "scales", "opacities", "sh", "antialiased"):
+    for name in ("positions", "scales", "opacities", "sh", "model"):
         np.testing.assert_array_equal(getattr(back, name), getattr(splats, name))
     np.testing.assert_allclose(back.orientations, splats.orientations, atol=2e-7)
 

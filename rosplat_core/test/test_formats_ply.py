@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from rosplat_core.formats import SceneError, axes, load, ply, save
+from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 
 plyfile = pytest.importorskip("plyfile")  # apt has none
@@ -27,7 +28,7 @@ def assert_same(a: Splats, b: Splats, tolerance: float = 1e-6) -> None:
     np.testing.assert_allclose(a.scales, b.scales, rtol=tolerance, atol=1e-30)
     np.testing.assert_allclose(a.opacities, b.opacities, atol=tolerance)
     np.testing.assert_array_equal(a.sh, b.sh)
-    assert a.antialiased == b.antialiased
+    assert a.model is b.model
 
 
 def rows_of(path: Path) -> NDArray[np.void]:
@@ -43,9 +44,9 @@ def write_rows(path: Path, rows: NDArray[np.void], **form: object) -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-@pytest.mark.parametrize("antialiased", [False, True])
-def test_round_trip(random_splats: Make, tmp_path: Path, degree: int, antialiased: bool) -> None:
-    splats = random_splats(50, degree, antialiased=antialiased)
+@pytest.mark.parametrize("model", Model)
+def test_round_trip(random_splats: Make, tmp_path: Path, degree: int, model: Model) -> None:
+    splats = random_splats(50, degree, model=model)
     save(tmp_path / "a.ply", splats)
     assert_same(load(tmp_path / "a.ply"), splats)
 
@@ -213,25 +214,28 @@ def test_2d_gaussians_are_flat(random_splats: Make, tmp_path: Path) -> None:
     flat = load(tmp_path / "b.ply")
     assert not flat.scales[:, 2].any()
     assert flat.scales[:, :2].all()
+    assert flat.model is Model.DISC
 
 
 @pytest.mark.parametrize(
     ("comments", "expected"),
     [
-        (["SplatRenderMode: mip"], True),
-        (["splatrendermode: default"], False),
-        (["antialiased 1"], True),
-        (["antialiased 0"], False),
-        (["antialiased 1", "SplatRenderMode: default"], False),
-        (["trained antialiased 1"], False),
+        (["SplatRenderMode: mip"], Model.EWA_ANTIALIASED),
+        (["splatrendermode: default"], Model.EWA),
+        (["SplatRenderMode: ray"], Model.RAY),
+        (["SplatRenderMode: disc"], Model.DISC),
+        (["antialiased 1"], Model.EWA_ANTIALIASED),
+        (["antialiased 0"], Model.EWA),
+        (["antialiased 1", "SplatRenderMode: default"], Model.EWA),
+        (["trained antialiased 1"], Model.EWA),
     ],
 )
 def test_comments_tell_how_it_was_trained(
-    random_splats: Make, tmp_path: Path, comments: list[str], expected: bool
+    random_splats: Make, tmp_path: Path, comments: list[str], expected: Model
 ) -> None:
     save(tmp_path / "a.ply", random_splats(3))
     write_rows(tmp_path / "b.ply", rows_of(tmp_path / "a.ply"), comments=comments)
-    assert load(tmp_path / "b.ply").antialiased == expected
+    assert load(tmp_path / "b.ply").model is expected
 
 
 def test_mip_splatting_s_filter_is_applied_as_its_own_fused_ply_has_it(
@@ -251,7 +255,7 @@ def test_mip_splatting_s_filter_is_applied_as_its_own_fused_ply_has_it(
         splats,
         scales=np.sqrt(wider),
         opacities=splats.opacities * np.sqrt(squares.prod(axis=1) / wider.prod(axis=1)),
-        antialiased=True,
+        model=Model.EWA_ANTIALIASED,
     )
     assert_same(load(tmp_path / "filtered.ply"), fused, tolerance=1e-5)
 

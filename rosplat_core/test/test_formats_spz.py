@@ -14,6 +14,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from rosplat_core.formats import SceneError, axes, load, save
+from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 
 FRACTIONAL_BITS = 12
@@ -21,7 +22,7 @@ FRACTIONAL_BITS = 12
 
 def packed(splats: Splats, version: int) -> bytes:
     """The uncompressed SPZ stream of splats, value by value as the specification reads."""
-    fields = (version, len(splats), splats.sh_degree, FRACTIONAL_BITS, int(splats.antialiased), 0)
+    fields = (version, len(splats), splats.sh_degree, FRACTIONAL_BITS, int(splats.model), 0)
     return struct.pack("<4sIIBBBB", b"NGSP", *fields) + b"".join(attributes(splats, version))
 
 
@@ -46,7 +47,7 @@ def packed_4(splats: Splats, extensions: bytes = b"") -> bytes:
     """A file of version 4."""
     streams = [data for data in attributes(splats, 4) if data]
     frames = [zstandard.compress(data) for data in streams]
-    flags = int(splats.antialiased) | (2 if extensions else 0)
+    flags = int(splats.model) | (2 if extensions else 0)
     fields = (4, len(splats), splats.sh_degree, FRACTIONAL_BITS, flags, len(frames))
     out = struct.pack("<4sIIBBBBI12x", b"NGSP", *fields, 32 + len(extensions)) + extensions
     for data, frame in zip(streams, frames, strict=True):
@@ -78,12 +79,12 @@ def smallest_three(quaternion: NDArray[np.float32]) -> bytes:
 def test_unpacks_within_quantisation(
     random_splats: Callable[..., Splats], tmp_path: Path, version: int, degree: int
 ) -> None:
-    splats = random_splats(300, degree, antialiased=degree == 1)
+    splats = random_splats(300, degree, model=Model(degree == 1))
     splats.sh[:, 1:] = np.clip(splats.sh[:, 1:], -0.99, 0.99)
     whole = packed_4(splats) if version == 4 else gzip.compress(packed(splats, version))
     (tmp_path / "a.spz").write_bytes(whole)
     back = load(tmp_path / "a.spz")
-    assert back.antialiased == splats.antialiased
+    assert back.model is splats.model
     step = 1 / 2**10 if version == 1 else 1 / 2**FRACTIONAL_BITS  # half floats up to 4
     np.testing.assert_allclose(back.positions, splats.positions, atol=1.02 * step)
     np.testing.assert_allclose(back.opacities, splats.opacities, atol=0.51 / 255)
@@ -154,15 +155,15 @@ def test_the_specifications_example_of_colors_and_scales(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("degree", [0, 3])
-@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("model", [Model.EWA, Model.EWA_ANTIALIASED])
 def test_round_trip(
-    random_splats: Callable[..., Splats], tmp_path: Path, degree: int, antialiased: bool
+    random_splats: Callable[..., Splats], tmp_path: Path, degree: int, model: Model
 ) -> None:
-    splats = random_splats(500, degree, antialiased=antialiased)
+    splats = random_splats(500, degree, model=model)
     splats.sh[:, 1:] = np.clip(splats.sh[:, 1:], -0.9, 0.9)
     written = save(tmp_path / "a.spz", splats)
     back = load(tmp_path / "a.spz")
-    assert back.antialiased == antialiased
+    assert back.model is model
     np.testing.assert_allclose(back.positions, written.positions, atol=0.51 / 2**FRACTIONAL_BITS)
     np.testing.assert_allclose(np.log(back.scales), np.log(written.scales), atol=0.51 / 16)
     np.testing.assert_allclose(back.opacities, written.opacities, atol=0.51 / 255)
@@ -261,4 +262,4 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
 
 def test_a_trained_scene(scene: Callable[[str], Path]) -> None:
     splats = load(scene("wolf.spz"))
-    assert (len(splats), splats.sh_degree, splats.antialiased) == (90_586, 3, False)
+    assert (len(splats), splats.sh_degree, splats.model) == (90_586, 3, Model.EWA)

@@ -200,7 +200,7 @@ def test_a_tree_without_end(scene: Path) -> None:
 def test_files_that_are_filtered_differently(scene: Path) -> None:
     meta = scene.parent / "0_0" / "meta.json"
     meta.write_text(json.dumps(json.loads(meta.read_text()) | {"antialias": True}))
-    with pytest.raises(SceneError, match="some of its files are antialiased"):
+    with pytest.raises(SceneError, match="several models: ewa, ewa_antialiased"):
         open_streamed(scene)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from rosplat_core.formats import SceneError, axes, load, save
+from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 
 lacking = importlib.util.find_spec("pxr") is None
@@ -62,11 +63,11 @@ def test_splats_by_hand(tmp_path: Path) -> None:
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_round_trip(random_splats: Make, tmp_path: Path, ending: str) -> None:
     for degree in (0, 3):
-        splats = random_splats(2000, degree, antialiased=degree == 3)
+        splats = random_splats(2000, degree, model=Model(degree))
         path = tmp_path / f"a{degree}{ending}"
         save(path, splats)
         back = load(path)
-        for name in ("positions", "scales", "opacities", "sh", "antialiased"):
+        for name in ("positions", "scales", "opacities", "sh", "model"):
             np.testing.assert_array_equal(getattr(back, name), getattr(splats, name))
         np.testing.assert_allclose(back.orientations, splats.orientations, atol=2e-7)
     assert {path.name for path in tmp_path.iterdir()} == {f"a0{ending}", f"a3{ending}"}

@@ -91,13 +91,13 @@ TEST(HardRegimes, holdSplatsSmallerThanPixelsUnlessTheyAreCompensated) {
   settings.scale = 2;
   EXPECT_EQ(said(far, camera(), settings), "");
   settings.scale = 1;
-  settings.antialiasing = Antialiasing::kOn;
+  settings.model = Model::kEwaAntialiased;
   EXPECT_EQ(said(far, camera(), settings), "");
-  settings.antialiasing = Antialiasing::kAsTrained;
+  settings.model = std::nullopt;
   MapState map;
-  map.antialiased = true;
+  map.model = Model::kEwaAntialiased;
   EXPECT_EQ(said(far, camera(), settings, map), "");
-  settings.antialiasing = Antialiasing::kOff;
+  settings.model = Model::kEwa;
   EXPECT_TRUE(tells(said(far, camera(), settings, map), "smaller than a pixel"));
 }
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rosplat_core
+from rosplat_core.models import Model
 from rosplat_core.splats import Splats, concatenate, rebase
 from rosplat_core.view import frame_at, rotation_matrix
 
@@ -147,8 +148,8 @@ def test_concatenate_loses_nothing_of_a_far_part_behind_a_near_one() -> None:
 
 
 def test_concatenate_refuses_mixed_filters() -> None:
-    with pytest.raises(ValueError, match="antialiased"):
-        concatenate([splats(1), splats(1, antialiased=True)])
+    with pytest.raises(ValueError, match="ewa and ray"):
+        concatenate([splats(1), splats(1, model=Model.RAY)])
 
 
 def test_channels_go_along_and_are_checked() -> None:
@@ -268,13 +269,13 @@ def test_splats_move_with_all_that_is_seen_of_them() -> None:
 
 def test_a_map_is_told_in_a_line(random_splats: Make) -> None:
     splats = replace(
-        random_splats(1200, 2, antialiased=True), origin=np.array([1e5, 0, 0]), up=(0, 0, 2.0),
+        random_splats(1200, 2, model=Model.RAY), origin=np.array([1e5, 0, 0]), up=(0, 0, 2.0),
         channels={"label": np.zeros(1200)},
     )  # fmt: skip
     splats.positions[3] = np.nan
     told = repr(splats)
     assert told.startswith("Splats(1,200 splats, SH degree 2, up 0 0 1, from 1e+05 -")
-    assert told.endswith("m, antialiased, channels label)")
+    assert told.endswith("m, model ray, channels label)")
     assert "nan" not in told
     assert repr(random_splats(0)) == "Splats(0 splats, SH degree 3)"
 

@@ -19,7 +19,7 @@ from rosplat_lab import reference
 from rosplat_lab.bench import truths
 from rosplat_lab.bench.records import Circumstances, Measurement, Record
 from rosplat_lab.bench.sort import view_of
-from rosplat_lab.lab import orders, pages, picture, rays, viewers, ways
+from rosplat_lab.lab import orders, pages, picture, viewers, ways
 from rosplat_lab.lab.command import kind_of
 from rosplat_lab.lab.motion import placed, turned
 from rosplat_lab.lab.points import Point, for_decibels, frontier, points, verdict
@@ -51,39 +51,6 @@ def test_rvizsplat_leaves_out_faint_splats_and_faint_rims() -> None:
     seen = viewers.rvizsplat(ball(), AHEAD, WHOLE)[24, :, 0]
     assert seen.max() == pytest.approx(0.9, abs=0.02)
     assert seen[seen > 0].min() >= 0.05
-
-
-def test_rays_agree_with_ellipses_where_the_projection_is_all_but_linear(
-    random_splats: Make,
-) -> None:
-    """Small in angle, large in pixels: what is left of the difference is the 0.3 px² low-pass."""
-    splats = random_splats(40, 0)
-    splats.scales[:] = np.clip(splats.scales, 0.2, 0.4)
-    errors = []
-    for distance in (4.0, 100.0):
-        camera = replace(
-            CAMERA,
-            fx=60.0 * distance, fy=60.0 * distance, near=0.1,
-            world_to_camera=look_at((distance, 0.1, 0.2), (0, 0, 0)),
-        )  # fmt: skip
-        expected = reference.render(splats, camera).rgba[..., :3]
-        errors.append(np.abs(rays.picture(splats, camera) - expected).mean())
-    assert errors[1] < 0.1 * errors[0]
-    assert errors[1] < 1e-3
-
-
-def test_a_ray_meets_a_ball_in_closed_form() -> None:
-    grey = ball(
-        scales=np.full((1, 3), 0.5, np.float32), opacities=np.array([0.8], np.float32),
-        sh=np.zeros((1, 1, 3), np.float32),
-    )  # fmt: skip
-    camera = replace(AHEAD, fx=20.0, fy=20.0)
-    tangent = (np.arange(64) + 0.5 - 32) / 20
-    height = (24 + 0.5 - 24) / 20
-    across = np.sin(np.arctan(np.hypot(tangent, height))) * 2.0  # from the centre to the ray [m]
-    alpha = np.float32(0.8) * np.exp(-0.5 * (across / 0.5) ** 2)
-    alpha[alpha < 1 / 255] = 0
-    np.testing.assert_allclose(rays.picture(grey, camera)[24, :, 0], 0.5 * alpha, atol=1e-6)
 
 
 def test_what_is_compared_is_the_middle_of_the_whole_picture() -> None:

@@ -29,7 +29,7 @@ def apply(target: Any, batch: GaussianArray, arrival: Arrival = Arrival.HEARD) -
     origin = batch.origin
     report: dict[str, int] = target.apply(
         batch.operation, batch.first_slot, batch.count, array(batch.slots, np.uint32),
-        batch.sh_degree, batch.antialiased, (origin.x, origin.y, origin.z), array(batch.positions),
+        batch.sh_degree, batch.model, (origin.x, origin.y, origin.z), array(batch.positions),
         array(batch.orientations), array(batch.scales), array(batch.opacities), array(batch.sh),
         batch.map_id, batch.revision, batch.expected_slots, batch.format,
         array(batch.payload, np.uint8), arrival, batch.group, array(batch.groups, np.uint32),

@@ -218,7 +218,7 @@ class MapPublisher:
         Slots form blocks of GaussianArray.SLOTS_PER_BLOCK; the splats of a block belong to one
         group. Raises ValueError, and sends nothing, if a slot is named twice or isn't below
         MAX_SLOTS, if slots and splats differ in number, if a block holds splats of another group,
-        or if the splats' `antialiased` differs from the map's.
+        or if the splats' model differs from the map's.
         """
         if not isinstance(splats, PackedSplats):
             check_splats(splats)
@@ -419,7 +419,7 @@ def as_message(batch: PublishedBatch, header: Header) -> GaussianArray:
         sh_degree=batch.sh_degree,
         format=batch.format,
         payload=as_array("B", batch.payload),
-        antialiased=batch.antialiased,
+        model=batch.model,
         origin=Point(x=x, y=y, z=z),
         channel_names=batch.channel_names,
         channels=as_array("f", batch.channels),

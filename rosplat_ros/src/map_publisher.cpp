@@ -60,7 +60,7 @@ Message messageOf(PublishedMap::Batch&& batch, const std::string& frame_id, rclc
   message.sh_degree = static_cast<std::uint8_t>(batch.sh_degree);
   message.format = std::move(batch.format);
   message.payload.assign(batch.payload.begin(), batch.payload.end());
-  message.antialiased = batch.antialiased;
+  message.model = static_cast<std::uint8_t>(batch.model);
   std::tie(message.origin.x, message.origin.y, message.origin.z) = std::tuple_cat(batch.origin);
   message.channel_names = std::move(batch.channel_names);
   message.channels = std::move(batch.channels);

@@ -28,6 +28,7 @@ from rclpy.serialization import serialize_message
 
 from rosplat_core import _core, formats, payload
 from rosplat_core.formats import IntoPacked
+from rosplat_core.models import Model
 from rosplat_core.scenes import load_scene_into
 from rosplat_core.splats import PackedSplats, Splats
 from rosplat_msgs.msg import GaussianArray
@@ -90,7 +91,7 @@ def assert_same_map(received: Received, publisher: MapPublisher) -> None:
 
 def packed(splats: Splats) -> PackedSplats:
     rows = _core.pack_splats(splats, np.ones(len(splats), bool))
-    of_all = splats.origin, splats.antialiased, splats.channels
+    of_all = splats.origin, splats.model, splats.channels
     return PackedSplats(rows, splats.sh_degree, *of_all)
 
 
@@ -508,8 +509,8 @@ def test_slots_are_checked_before_anything_is_sent(
 def test_what_is_refused_changes_nothing(node: Node, random_splats: Maker) -> None:
     publisher = MapPublisher(node)
     publisher.replace(random_splats(10))
-    with pytest.raises(ValueError, match="antialiased"):
-        publisher.upsert(range(3), random_splats(3, antialiased=True))
+    with pytest.raises(ValueError, match="model"):
+        publisher.upsert(range(3), random_splats(3, model=Model.RAY))
     channels = {f"c{i}": np.zeros(3) for i in range(9)}
     with pytest.raises(ValueError, match="channel_names: 9 in all"):
         publisher.upsert(range(3), replace(random_splats(3), channels=channels))

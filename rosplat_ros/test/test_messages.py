@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from std_msgs.msg import Header
 
+from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_ros.batches import array_bytes
@@ -37,12 +38,12 @@ def test_two_gaussians_are_laid_out_as_the_message_says() -> None:
         # Coefficient k of splat i, channel c: 100 i + 10 k + c.
         sh=np.array([[[100 * i + 10 * k + c for c in range(3)] for k in range(4)] for i in (0, 1)]),
         origin=np.array([1e6, 0, -3]),
-        antialiased=True,
+        model=Model.RAY,
     )
     message = batch(splats, np.array([8, 3]))
     assert (message.count, list(message.slots)) == (2, [8, 3])
     assert (message.map_id, message.revision, message.expected_slots) == ("a", 7, 99)
-    assert (message.sh_degree, message.antialiased, message.origin.x) == (1, True, 1e6)
+    assert (message.sh_degree, message.model, message.origin.x) == (1, Model.RAY, 1e6)
     assert list(message.positions) == [1, 2, 3, 4, 5, 6]
     assert list(message.orientations) == [0, 0, 0, 1, 1, 0, 0, 0]
     assert list(message.scales) == [0.5, 0.25, 0.125, 1, 2, 4]

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 from rosplat_core.view import frame_at
 from rosplat_testing.slot_map import SlotMap
@@ -76,8 +77,8 @@ def test_positions_move_to_the_map_s_origin(random_splats: Maker) -> None:
 
 
 def test_two_kinds_of_filter_don_t_mix(random_splats: Maker) -> None:
-    with pytest.raises(ValueError, match="antialiased"):
-        SlotMap(random_splats(1)).write(range(1), random_splats(1, antialiased=True))
+    with pytest.raises(ValueError, match="models"):
+        SlotMap(random_splats(1)).write(range(1), random_splats(1, model=Model.RAY))
 
 
 def test_slots_are_numbered_as_authors_like(random_splats: Maker) -> None:
@@ -96,10 +97,10 @@ def test_the_first_splats_decide_origin_and_filter(random_splats: Maker) -> None
     slot_map = SlotMap(random_splats(0))
     slot_map.clear(range(5))
     origin = np.array([4.5e6, 0, 0])
-    far = Splats(**(vars(random_splats(2, antialiased=True)) | {"origin": origin}))
+    far = Splats(**(vars(random_splats(2, model=Model.RAY)) | {"origin": origin}))
     slot_map.write(range(2), far)
     _, splats = slot_map.snapshot()
-    assert splats.antialiased
+    assert splats.model is Model.RAY
     np.testing.assert_array_equal(splats.origin, origin)
     np.testing.assert_array_equal(splats.positions, far.positions)
 

@@ -38,7 +38,7 @@ def describe(path: str | Path) -> str:
         "splats": f"{len(splats):,}",
         "SH degree": degree,
         "axes": "z up" if is_generated(str(path)) else axes(path).text,
-        "antialiased": "yes" if splats.antialiased else "no",
+        "model": str(splats.model),
         "in memory": f"{_bytes(used.nbytes)}, {used.nbytes // max(1, len(used))} bytes per splat",
     }
     rows |= _drawn(str(path), splats)

@@ -21,7 +21,12 @@ from rosplat_core.splats import LONGEST_ERROR, PackedSplats, SceneError
 from rosplat_msgs.srv import LoadScene, SaveMap
 from rosplat_ros.map_publisher import MapPublisher
 from rosplat_ros.program.files_below import check_below
-from rosplat_ros.program.parameters import declare, declare_compression, declare_path
+from rosplat_ros.program.parameters import (
+    declare,
+    declare_compression,
+    declare_model,
+    declare_path,
+)
 from rosplat_ros.program.running import Cancelled, run, spinning, wait_for_end
 
 # Of callbacks: ~/load that sends, one that reads, one that cancels; ~/save, repeat, parameters.
@@ -53,6 +58,7 @@ class PlyPublisher(Node):
         self._save_root = declare_path(
             self, "save_root", "", "Folder below which ~/save may write; empty: nowhere."
         )
+        self._model = declare_model(self)
         self._map = MapPublisher(
             self,
             frame_id=frame_id,
@@ -124,6 +130,7 @@ class PlyPublisher(Node):
                 raise
         text = (
             f"{path}: {len(splats):,} splats, SH degree {splats.sh_degree}, "
+            f"model {splats.model}, "
             f"loaded and sent in {time.monotonic() - start:.1f} s"
         )
         self.get_logger().info(shown(text, 500))
@@ -140,7 +147,9 @@ class PlyPublisher(Node):
                         f"reading {shown(path)}: {part:.0%}", throttle_duration_sec=0.5
                     )
 
-            return load_scene_into(formats.IntoPacked(), path, loaded, self.get_logger().warning)
+            warn = self.get_logger().warning
+            splats = load_scene_into(formats.IntoPacked(), path, loaded, warn)
+            return splats if self._model is None else replace(splats, model=self._model)
 
     def _go_on(self, answer: Future[str]) -> None:
         if answer.cancelled() or not self.context.ok():

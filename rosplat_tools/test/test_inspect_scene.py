@@ -11,6 +11,7 @@ import pytest
 from streamed_scene import write_scene
 
 from rosplat_core.formats import save
+from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 from rosplat_tools.inspect_scene import describe, main
 
@@ -22,7 +23,7 @@ def rows(report: str) -> dict[str, str]:
 
 
 def test_a_report(random_splats: Make, tmp_path: Path) -> None:
-    splats = random_splats(1234, 1, antialiased=True).with_sh_degree(3)
+    splats = random_splats(1234, 1, model=Model.RAY).with_sh_degree(3)
     splats.positions[:, 0] = np.linspace(-2, 5, 1234)
     splats.scales[7] = 0.5
     save(tmp_path / "a.ply", splats)
@@ -30,7 +31,7 @@ def test_a_report(random_splats: Make, tmp_path: Path) -> None:
     assert report["splats"] == "1,234"
     assert report["format"] == f"PLY, {(tmp_path / 'a.ply').stat().st_size / 1000:.3g} kB"
     assert report["SH degree"] == "3, but the bands above 1 are all zero"
-    assert report["antialiased"] == "yes"
+    assert report["model"] == "ray"
     assert report["axes"].startswith("the trainer's")
     assert report["in memory"] == f"{1.234 * 4 * (11 + 12):.3g} kB, 92 bytes per splat"
     assert report["from"].startswith("-2 ")

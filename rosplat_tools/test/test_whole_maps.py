@@ -8,6 +8,7 @@ import pytest
 from core_fixtures import random_splats
 from rclpy.node import Node
 
+from rosplat_core.models import Model
 from rosplat_core.slot_order import slot_order
 from rosplat_core.splats import Splats, concatenate
 from rosplat_ros.map_publisher import MapPublisher
@@ -119,8 +120,8 @@ def test_rows_without_ids_that_moved_are_a_new_map(maps: WholeMaps, listener: An
     maps.show(first)
     assert maps.show(first[1:]) == 999
     assert maps.show(first[::-1]) == 1000
-    assert maps.show(replace(first, antialiased=True)) == 1000
-    listener.wait(lambda: listener.map and listener.map.snapshot()[1].antialiased)
+    assert maps.show(replace(first, model=Model.RAY)) == 1000
+    listener.wait(lambda: listener.map and listener.map.snapshot()[1].model is Model.RAY)
     assert contents(listener.map.snapshot()[1]) == contents(as_held(first))
 
 

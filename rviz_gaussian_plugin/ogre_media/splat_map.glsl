@@ -11,7 +11,7 @@ layout(std140, binding = 1) uniform Map {
   float scale_modifier, opacity_modifier;
   int sh_degree;
   int only_band;     // -1: all
-  bool antialiased;
+  int model;         // as in Model
   float age_range;   // age that has the colour of old slots [s]
   bool cut;          // nodes stand for some of its splats
   float cut_focal;   // [px], orthographic [px/m]

@@ -148,9 +148,7 @@ Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
   float det0 = dot(area, area);  // of M M^T by Cauchy-Binet: no cancellation for needles
   float a = a0 + kLowPass, c = c0 + kLowPass;
   float det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
-  if (map.antialiased) {
-    opacity *= sqrt(det0 / det);
-  }
+  if (map.model == kEwaAntialiased) opacity *= sqrt(det0 / det);
   if (!(opacity >= kCutoffAlpha)) return e;
   if (map.kind == kFlat || map.kind == kShaded) opacity = kBallOpacity;
 

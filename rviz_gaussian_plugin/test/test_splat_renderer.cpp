@@ -1842,7 +1842,7 @@ TEST_F(SplatRendererTest, DrawsEachMapByItsOwnSettings) {
   std::vector<RenderSettings> others(8);
   others[0].opacity = 0.3f;
   others[1].scale = 2;
-  others[1].antialiasing = Antialiasing::kOn;
+  others[1].model = Model::kEwaAntialiased;
   others[2].clip_box = {true, {0, 0, 9}, {3, 3, 6}};
   others[3].detail = parseDetail("6px");
   others[4].detail = parseDetail("500");

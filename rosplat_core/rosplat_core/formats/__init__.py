@@ -42,6 +42,7 @@ from rosplat_core.formats.decoded import (
     Warn,
 )
 from rosplat_core.log_text import shown
+from rosplat_core.models import Model
 from rosplat_core.program.files import replacing
 from rosplat_core.program.progress import watched
 from rosplat_core.slot_order import space_order
@@ -73,8 +74,8 @@ _log = logging.getLogger(__name__)
 # has SUFFIXES and write(stream, path, splats): path, which stream will replace, tells the ending
 # and is named in errors. Optional: axes(path) (if not AS_TRAINED), IN_SPACE_ORDER (it packs
 # neighbours), FINITE (it has no other numbers), KEEPS_CHANNELS, KEEPS_ORIGIN (splats may lie far
-# from 0), require(path) (raises where a package is missing), DRAWN (how the format has its splats
-# drawn, if otherwise).
+# from 0), MODELS (that it tells, if not EWA alone), require(path) (raises where a package is
+# missing), DRAWN (how the format has its splats drawn, if otherwise).
 FORMATS: tuple[ModuleType, ...] = (
     compressed_ply,
     ply,
@@ -198,9 +199,10 @@ def save(path: str | Path, splats: Splats, *, overwrite: bool = False) -> Splats
 
     overwrite: replace a file that exists, whole; else it is an error. Formats that have a place for
     the vertical keep it. Returns the splats in the order of the file: formats that pack neighbours
-    put them in space order; channels that a format has no place for are left out, with a warning in
-    the log. Raises SceneError for an ending that can't be written, splats that a format has no way
-    to write, a place that can't be written to, or too little memory.
+    put them in space order; channels that a format has no place for are left out, and a model that
+    it can't tell is lost, with a warning in the log. Raises SceneError for an ending that can't be
+    written, splats that a format has no way to write, a place that can't be written to, or too
+    little memory.
     """
     check_splats(splats)
     path = Path(path)
@@ -211,6 +213,11 @@ def save(path: str | Path, splats: Splats, *, overwrite: bool = False) -> Splats
             "%s: left out %s: %s has no channels", path, ", ".join(splats.channels), writer.NAME
         )
         splats = replace(splats, channels={})
+    if splats.model not in getattr(writer, "MODELS", (Model.EWA,)):
+        _log.warning(
+            "%s: %s can't tell that the model is %s: whoever opens it has to",
+            path, writer.NAME, splats.model,
+        )  # fmt: skip
     if not getattr(writer, "KEEPS_ORIGIN", False):
         _warn_of_far_splats(path, writer, splats)
     with _told(path):

@@ -25,15 +25,17 @@ from numpy.typing import NDArray
 
 from rosplat_core.formats.bounds import claim, size_of
 from rosplat_core.formats.decoded import BLOCK, Floats, Into, Made, Progress, Warn, blocks
-from rosplat_core.formats.ply import antialiased, comments_of, rest_names
 from rosplat_core.formats.ply import axes as axes  # of the comment, too
+from rosplat_core.formats.ply import comments_of, model_in, rest_names
 from rosplat_core.formats.ply_file import PlyFile, header
 from rosplat_core.formats.quantised import largest_restored, smallest_three, to_bytes
 from rosplat_core.harmonics import C0 as SH_C0
+from rosplat_core.models import Model
 from rosplat_core.splats import SceneError, Splats
 
 NAME = "compressed PLY"
 SUFFIXES = (".compressed.ply",)
+MODELS = tuple(Model)
 IN_SPACE_ORDER = True
 
 CHUNK = 256  # splats
@@ -101,7 +103,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
             block = rest[part]
             by_channel = _COEFFICIENTS[np.stack([block[name] for name in names], axis=1)]
             sh[:, 1:] = by_channel.reshape(-1, 3, bands).transpose(0, 2, 1)
-    return into.made(path, warn, antialiased(file.comments))
+    return into.made(path, warn, model_in(file.comments) or Model.EWA)
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Generic, NamedTuple, TypeVar
@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import _core
+from rosplat_core.log_text import shown
+from rosplat_core.models import Model
 from rosplat_core.payload import Arrays
 from rosplat_core.slot_order import order_by_size
-from rosplat_core.splats import PackedSplats, Splats, rebase
+from rosplat_core.splats import PackedSplats, SceneError, Splats, rebase
 
 Progress = Callable[[float], None]
 Warn = Callable[[str], object]
@@ -93,6 +95,24 @@ class Columns(NamedTuple):
 Made = TypeVar("Made", Splats, PackedSplats)
 
 
+def told_model(path: Path, name: object) -> Model:
+    """The model that a file names, EWA for None. Raises SceneError for one that isn't known."""
+    if name is None:
+        return Model.EWA
+    known = list(map(str, Model))
+    if name not in known:
+        raise SceneError(f"{path}: model {shown(repr(name))} is none of {', '.join(known)}")
+    return Model.of(str(name))
+
+
+def one_model(path: Path, models: Iterable[Model]) -> Model:
+    """The model of all parts of a file, EWA without one. Raises SceneError for several."""
+    found = sorted(set(models))
+    if len(found) > 1:
+        raise SceneError(f"{path}: its splats are of several models: {', '.join(map(str, found))}")
+    return found[0] if found else Model.EWA
+
+
 class Into(ABC, Generic[Made]):
     """Takes a file's numbers and makes splats of them, in one of several forms."""
 
@@ -127,7 +147,7 @@ class Into(ABC, Generic[Made]):
         self,
         path: Path,
         warn: Warn,
-        antialiased: bool = False,
+        model: Model = Model.EWA,
         channels: Mapping[str, Floats] = MappingProxyType({}),
     ) -> Made:
         """The splats that were written. channels: (n,) each.
@@ -139,14 +159,14 @@ class Into(ABC, Generic[Made]):
         if drops:
             warn(f"{path}: {drops}")
         kept = self._usable if drops else slice(None)
-        return self._made(kept, antialiased, {name: each[kept] for name, each in channels.items()})
+        return self._made(kept, model, {name: each[kept] for name, each in channels.items()})
 
     def make(
         self,
         path: Path,
         warn: Warn,
         columns: Columns,
-        antialiased: bool = False,
+        model: Model = Model.EWA,
         channels: Mapping[str, Floats] = MappingProxyType({}),
     ) -> Made:
         """As blocks and made, for all numbers at once. Takes over the arrays."""
@@ -154,7 +174,7 @@ class Into(ABC, Generic[Made]):
         self._begin(n, k, columns)
         for part in blocks(n):
             self._take(part, columns.part(part))
-        return self.made(path, warn, antialiased, channels)
+        return self.made(path, warn, model, channels)
 
     def _begin(self, n: int, k: int, columns: Columns | None = None) -> None:
         """columns: all numbers, if they are there already."""
@@ -168,7 +188,7 @@ class Into(ABC, Generic[Made]):
 
     @abstractmethod
     def _made(
-        self, kept: slice | NDArray[np.bool_], antialiased: bool, channels: dict[str, Floats]
+        self, kept: slice | NDArray[np.bool_], model: Model, channels: dict[str, Floats]
     ) -> Made: ...
 
 
@@ -183,7 +203,7 @@ class IntoSplats(Into[Splats]):
         return self._columns.part(part)
 
     def _made(
-        self, kept: slice | NDArray[np.bool_], antialiased: bool, channels: dict[str, Floats]
+        self, kept: slice | NDArray[np.bool_], model: Model, channels: dict[str, Floats]
     ) -> Splats:
         positions, orientations, scales, opacities, sh = self._columns.part(kept)
         offsets, origin = rebase(positions)
@@ -194,7 +214,7 @@ class IntoSplats(Into[Splats]):
             opacities=opacities,
             sh=sh,
             origin=origin,
-            antialiased=antialiased,
+            model=model,
             channels=channels,
         )
 
@@ -219,7 +239,7 @@ class IntoPacked(Into[PackedSplats]):
         self._rows[part] = _core.pack_splats(Arrays(near, *written[1:]), self._usable[part])
 
     def _made(
-        self, kept: slice | NDArray[np.bool_], antialiased: bool, channels: dict[str, Floats]
+        self, kept: slice | NDArray[np.bool_], model: Model, channels: dict[str, Floats]
     ) -> PackedSplats:
         self._rows, sizes = self._rows[kept], self._sizes[kept]
         self._positions = self._positions[kept]
@@ -231,7 +251,7 @@ class IntoPacked(Into[PackedSplats]):
             degree -= 1
         rows = np.ascontiguousarray(self._rows[:, : 8 + (degree + 1) ** 2])
         del self._rows
-        packed = PackedSplats(rows, degree, origin, antialiased, channels)
+        packed = PackedSplats(rows, degree, origin, model, channels)
         order = order_by_size(positions, sizes)
         for array in packed.arrays:
             _core.put_in_order(array, order)

@@ -84,7 +84,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
         joined.positions.astype(np.float64) + joined.origin,
         joined.orientations, joined.scales, joined.opacities, joined.sh,
     )  # fmt: skip
-    return into.make(path, warn, columns, joined.antialiased, joined.channels)
+    return into.make(path, warn, columns, joined.model, joined.channels)
 
 
 def _tiles(path: Path) -> list[Path]:

@@ -31,18 +31,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.formats.bounds import claim, refusing, size_of
-from rosplat_core.formats.decoded import Axes, Into, Made, Progress, Warn, blocks
+from rosplat_core.formats.decoded import (
+    Axes,
+    Into,
+    Made,
+    Progress,
+    Warn,
+    blocks,
+    one_model,
+    told_model,
+)
 from rosplat_core.formats.file_rows import FileRows
 from rosplat_core.formats.placed import place
 from rosplat_core.formats.quantised import to_bytes
 from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.log_text import shown
+from rosplat_core.models import Model
 from rosplat_core.quaternions import to_matrices
 from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients, splat_bytes
 
 NAME = "glTF"
 SUFFIXES = (".glb",)
+MODELS = tuple(Model)
 FINITE = True
 KEEPS_ORIGIN = True
 DRAWN = "sorted by distance from the camera, cut at 3 sigma"
@@ -50,6 +61,8 @@ DRAWN = "sorted by distance from the camera, cut at 3 sigma"
 EXTENSION = "KHR_gaussian_splatting"
 READ = {EXTENSION, "KHR_mesh_quantization"}  # extensions that a file may require
 COLOUR_SPACE = "srgb_rec709_display"
+# What the extension hints at, and the values that don't matter here: DRAWN says how its default is.
+HINTS = {"projection": ("perspective",), "sortingMethod": ("cameraDistance", "zDepth")}
 
 MAGIC = b"glTF"
 HEADER = struct.Struct("<4sII")  # magic, version, length of all
@@ -199,8 +212,8 @@ def _described(splats: Splats, columns: list[_Column], size: int) -> dict[str, A
     accessors[0]["min"] = splats.positions.min(axis=0).tolist()
     accessors[0]["max"] = splats.positions.max(axis=0).tolist()
     told: dict[str, Any] = {"kernel": "ellipse", "colorSpace": COLOUR_SPACE}
-    if splats.antialiased:
-        told["extras"] = {"antialiased": True}
+    if splats.model is not Model.EWA:
+        told["extras"] = {"model": str(splats.model)}
     primitive = {
         "attributes": {column.name: index for index, column in enumerate(columns)},
         "mode": POINTS,
@@ -253,7 +266,7 @@ class _Primitive(NamedTuple):
     pose: NDArray[np.float64]
     """(4, 4), finite."""
     degree: int
-    antialiased: bool
+    model: Model
     attributes: dict[str, _Attribute]
 
     def __len__(self) -> int:
@@ -274,9 +287,7 @@ def _splats(
     n = sum(map(len, primitives))
     degree = max((primitive.degree for primitive in primitives), default=0)
     claim(asset.path, n, n * splat_bytes(degree), asset.size)
-    kinds = {primitive.antialiased for primitive in primitives}
-    if len(kinds) > 1:
-        raise SceneError(f"{asset.path}: some of its splats are antialiased, and some are not")
+    model = one_model(asset.path, [primitive.model for primitive in primitives])
     for text in dict.fromkeys(asset.warnings):
         warn(f"{asset.path}: {text}")
     counts = [len(primitive) for primitive in primitives]
@@ -291,7 +302,7 @@ def _splats(
         for k, name in enumerate(_coefficients(primitive.degree)):
             columns.sh[:, k] = primitive.numbers(name, part)
         place(columns, primitive.pose)
-    return into.made(asset.path, warn, kinds == {True})
+    return into.made(asset.path, warn, model)
 
 
 class _Asset:
@@ -456,6 +467,9 @@ class _Asset:
             raise SceneError(f"{self.path}: splats in mode {shown(repr(mode))}, not as points")
         if told.get("kernel", "ellipse") != "ellipse":
             raise SceneError(f"{self.path}: kernel {shown(repr(told['kernel']))} isn't read")
+        for name, drawn in HINTS.items():
+            if (hint := told.get(name, drawn[0])) not in drawn:
+                self.warnings.append(f"{name} is {shown(repr(hint))}; drawn as {drawn[0]}")
         colours = told.get("colorSpace", COLOUR_SPACE)
         if colours != COLOUR_SPACE:
             self.warnings.append(f"colours of {shown(repr(colours))} are taken for sRGB")
@@ -480,8 +494,8 @@ class _Asset:
         counts = {attribute.shape[0] for attribute in attributes.values()}
         if len(counts) > 1:
             raise SceneError(f"{self.path}: attributes of different lengths: {sorted(counts)}")
-        antialiased = told.get("extras", {}).get("antialiased") is True
-        return _Primitive(pose, degree, antialiased, attributes)
+        model = told_model(self.path, told.get("extras", {}).get("model"))
+        return _Primitive(pose, degree, model, attributes)
 
     def _degree(self, accessors: Any) -> int:
         """The highest degree that is there; its band and all below then have to be whole."""

@@ -38,10 +38,12 @@ from rosplat_core.formats.decoded import (
 from rosplat_core.formats.ply_file import Element, PlyFile, Rows, header
 from rosplat_core.formats.quantised import sigmoid
 from rosplat_core.harmonics import C0 as SH_C0
+from rosplat_core.models import Model
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
 NAME = "PLY"
 SUFFIXES = (".ply",)
+MODELS = tuple(Model)
 KEEPS_CHANNELS = True
 KEEPS_ORIGIN = True
 
@@ -54,8 +56,15 @@ ROTATION = ["rot_0", "rot_1", "rot_2", "rot_3"]
 # Colours in place of COLOR; beside it, they are for viewers of points.
 RGB = (["red", "green", "blue"], ["r", "g", "b"])
 
-# Brush's comment for models trained as Mip-Splatting; splat-transform reads and writes it too.
-ANTIALIASED = "SplatRenderMode: mip"
+# Brush's comment, `SplatRenderMode: mip` for maps trained as Mip-Splatting; splat-transform reads
+# and writes it too. The other models' words are ours.
+COMMENT = "SplatRenderMode:"
+WORDS = {
+    "default": Model.EWA,
+    "mip": Model.EWA_ANTIALIASED,
+    "ray": Model.RAY,
+    "disc": Model.DISC,
+}
 
 # Brush's and nerfstudio's comment on the vertical: a letter, or three numbers.
 VERTICAL = "Vertical axis:"
@@ -102,7 +111,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     parsing = PARSING if file.is_text else 0.0
     rows = file.rows("vertex", share(progress, 0, parsing))
     shares = share(progress, parsing, 1)
-    return from_rows(path, rows, shares, warn, into, antialiased(file.comments))
+    return from_rows(path, rows, shares, warn, into, model_in(file.comments))
 
 
 def from_rows(
@@ -111,13 +120,14 @@ def from_rows(
     progress: Progress,
     warn: Warn,
     into: Into[Made],
-    antialiased: bool = False,
+    model: Model | None = None,
 ) -> Made:
     """Splats from rows with a PLY's properties.
 
-    Those without scale_2 (2D Gaussians) are flat, those with scale_0 alone are spheres. Bands above
-    the third are left out. Mip-Splatting's 3D filter is applied, as its create_fused_ply.py does.
-    path is for errors to name. Raises SceneError where a property is missing.
+    Those without scale_2 (2D Gaussians) are flat, and of Model.DISC; those with scale_0 alone are
+    spheres. Bands above the third are left out. Mip-Splatting's 3D filter is applied, as its
+    create_fused_ply.py does. path is for errors to name. Raises SceneError where a property is
+    missing.
     """
     have = rows.dtype.names or ()
     if ANCHOR in have:
@@ -156,7 +166,9 @@ def from_rows(
         with np.errstate(over="ignore"):  # infinite: no value
             for name, values in channels.items():
                 values[part] = block[name]
-    return into.made(path, warn, bool(filters) or antialiased, channels)
+    if model is None:
+        model = Model.DISC if count == 2 else Model.EWA
+    return into.made(path, warn, Model.EWA_ANTIALIASED if filters else model, channels)
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
@@ -168,9 +180,8 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
     for name in splats.channels:
         if _has_meaning(name):
             raise SceneError(f"{path}: channel '{name}': a PLY has a property of that name")
-    comments = comments_of(splats)
     layout = _rows(splats[:0]).dtype
-    stream.write(header({"vertex": (len(splats), layout)}, comments))
+    stream.write(header({"vertex": (len(splats), layout)}, comments_of(splats)))
     for part in blocks(len(splats)):
         stream.write(_rows(splats[part]).tobytes())
 
@@ -179,7 +190,8 @@ def _rows(splats: Splats) -> NDArray[np.void]:
     """The splats as a PLY holds them."""
     rest = [f"f_rest_{i}" for i in range(3 * (splats.sh.shape[1] - 1))]
     position_type = "<f8" if splats.origin.any() else "<f4"
-    names = [*NORMAL, *COLOR, *rest, "opacity", *SCALE, *ROTATION, *splats.channels]
+    scale = SCALE[:2] if splats.model is Model.DISC else SCALE  # as the authors of 2DGS save them
+    names = [*NORMAL, *COLOR, *rest, "opacity", *scale, *ROTATION, *splats.channels]
     rows = np.zeros(
         len(splats),
         [(name, position_type) for name in POSITION] + [(name, "<f4") for name in names],
@@ -189,7 +201,7 @@ def _rows(splats: Splats) -> NDArray[np.void]:
     _fill(rows, rest, splats.sh[:, 1:].transpose(0, 2, 1).reshape(len(splats), len(rest)))
     _fill(rows, ["opacity"], _logit(splats.opacities)[:, None])
     # A flat Gaussian's zero scale has no logarithm; the smallest float stands for it.
-    _fill(rows, SCALE, np.log(np.maximum(splats.scales, TINY)))
+    _fill(rows, scale, np.log(np.maximum(splats.scales, TINY)))
     _fill(rows, ROTATION, np.roll(splats.orientations, 1, axis=1))
     for name, values in splats.channels.items():
         rows[name] = values
@@ -253,8 +265,10 @@ def _white(rows: Rows, names: list[str]) -> float:
 
 
 def comments_of(splats: Splats) -> list[str]:
-    """What comments say of splats, for `vertical` and `antialiased` to read."""
-    told = [ANTIALIASED] if splats.antialiased else []
+    """What comments say of splats, for `vertical` and `model_in` to read."""
+    told = [f"{COMMENT} {word}" for word, model in WORDS.items() if model is splats.model]
+    if splats.model is Model.EWA:  # which all take a PLY for
+        told = []
     if splats.up is not None:
         told.append(f"{VERTICAL} {' '.join(f'{x:.9g}' for x in splats.up)}")
     return told
@@ -288,13 +302,15 @@ def _direction(text: str, down: bool) -> tuple[float, float, float] | None:
     return (x / length, y / length, z / length) if 0 < length < math.inf else None
 
 
-def antialiased(comments: list[str]) -> bool:
-    """Whether comments say so, Brush's or Postshot's `antialiased 1`; the last of them counts."""
-    found = False
+def model_in(comments: list[str]) -> Model | None:
+    """What comments say, Brush's or Postshot's `antialiased 1`; the last of them counts."""
+    found = None
     for comment in comments:
         words = comment.lower().split()
-        if words[:1] in (["splatrendermode:"], ["antialiased"]):
-            found = words[1:] in (["mip"], ["1"])
+        if words[:1] == [COMMENT.lower()]:
+            found = WORDS.get(" ".join(words[1:]), Model.EWA)
+        elif words[:1] == ["antialiased"]:
+            found = Model.EWA_ANTIALIASED if words[1:] == ["1"] else Model.EWA
     return found
 
 

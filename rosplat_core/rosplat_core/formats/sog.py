@@ -36,10 +36,12 @@ from rosplat_core.formats.codebook import codebook, nearest, palette
 from rosplat_core.formats.decoded import Columns, Floats, Into, Made, Progress, Warn, blocks
 from rosplat_core.formats.quantised import largest_restored, sigmoid, smallest_three, to_bytes
 from rosplat_core.log_text import shown
+from rosplat_core.models import Model
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
 NAME = "SOG"
 SUFFIXES = (".sog",)
+MODELS = tuple(Model)
 IN_SPACE_ORDER = True
 KEEPS_ORIGIN = True  # as ranges in doubles
 
@@ -87,7 +89,7 @@ class Claims(NamedTuple):
 
     splats: int
     sh_degree: int
-    antialiased: bool
+    model: Model
 
 
 def claims(path: Path) -> Claims:
@@ -111,7 +113,7 @@ class Packed:
     """A scene of n splats as its pictures have it: a third of the memory that splats take."""
 
     path: Path
-    antialiased: bool
+    model: Model
     lowest: Floats
     """(3,) logarithms of the lowest coordinates; highest: of the highest."""
     highest: Floats
@@ -146,7 +148,7 @@ class Packed:
         k = 1 if self.bands is None else 1 + self.bands.shape[1]
         for part, columns in into.blocks(n, k):
             self.decode(slice(first + part.start, first + part.stop), columns)
-        return into.made(self.path, warn, self.antialiased)
+        return into.made(self.path, warn, self.model)
 
     def decode(self, rows: slice, columns: Columns) -> None:
         """Writes some of the splats to columns; bands that they lack are zero."""
@@ -189,8 +191,10 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
         "quats": {"files": ["quats.webp"]},
         "sh0": {"codebook": color_book.tolist(), "files": ["sh0.webp"]},
     }
-    if splats.antialiased:
+    if splats.model is Model.EWA_ANTIALIASED:
         meta |= {"antialias": True, "model": "antialiased"}  # the specification's, its writer's
+    elif splats.model is not Model.EWA:
+        meta["model"] = str(splats.model)
     with zipfile.ZipFile(stream, "w") as bundle:
 
         def add(name: str, columns: list[NDArray[Any]], shape: tuple[int, int] = shape) -> None:
@@ -315,7 +319,7 @@ class _Reader:
             scale_table = np.exp(self._table("scales", 3))
         return Packed(
             path=self._path,
-            antialiased=self._antialiased(),
+            model=self._model(),
             lowest=lowest,
             highest=highest,
             steps=steps,
@@ -340,10 +344,13 @@ class _Reader:
             raise SceneError(
                 f"{self._path}: {name} is {shown(repr(n))}, expected a number of splats"
             )
-        return Claims(n, self._sh_degree() if self._has_bands() else 0, self._antialiased())
+        return Claims(n, self._sh_degree() if self._has_bands() else 0, self._model())
 
-    def _antialiased(self) -> bool:
-        return self._meta.get("antialias") is True or self._meta.get("model") == "antialiased"
+    def _model(self) -> Model:
+        name = self._meta.get("model")
+        if self._meta.get("antialias") is True or name == "antialiased":
+            return Model.EWA_ANTIALIASED
+        return Model.of(name) if name in list(map(str, Model)) else Model.EWA
 
     def _has_bands(self) -> bool:
         return self._meta.get("shN") is not None

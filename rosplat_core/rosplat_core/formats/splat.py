@@ -58,7 +58,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
-    """Writes splats without their higher bands; whether they are antialiased is lost, too."""
+    """Writes splats without their higher bands; their model is lost, too."""
     for part in blocks(len(splats)):
         rows = np.empty(part.stop - part.start, RECORD)
         rows["position"] = splats.positions[part] + splats.origin

@@ -33,10 +33,12 @@ from rosplat_core.formats.decoded import Axes, Floats, Into, Made, Progress, War
 from rosplat_core.formats.quantised import largest_restored, smallest_three, to_bytes
 from rosplat_core.formats.strangers import GZIP, beginning
 from rosplat_core.log_text import shown
+from rosplat_core.models import Model
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
 NAME = "SPZ"
 SUFFIXES = (".spz",)
+MODELS = (Model.EWA, Model.EWA_ANTIALIASED)
 IN_SPACE_ORDER = True  # packs better
 
 MAGIC = b"NGSP"
@@ -132,7 +134,7 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
     zstandard = require(path)
     degree = splats.sh_degree
     bits = _fractional_bits(path, splats)
-    flags = FLAG_ANTIALIASED if splats.antialiased else 0
+    flags = FLAG_ANTIALIASED if splats.model is Model.EWA_ANTIALIASED else 0
     header = Header(VERSION, len(splats), degree, bits, flags, 0)
     packed = {
         name: np.empty((len(splats), width), np.uint8) for name, width in header.widths.items()
@@ -317,7 +319,8 @@ def _unpack(path: Path, header: Header, packed: Packed, warn: Warn, into: Into[M
         sh[:, 0] = (packed["colors"][part] / 255 - 0.5) / COLOR_SCALE
         bands = packed["sh"][part, : 3 * (k - 1)].reshape(part.stop - part.start, k - 1, 3)
         sh[:, 1:] = bands / np.float32(128) - 1
-    return into.made(path, warn, bool(header.flags & FLAG_ANTIALIASED))
+    flagged = header.flags & FLAG_ANTIALIASED
+    return into.made(path, warn, Model.EWA_ANTIALIASED if flagged else Model.EWA)
 
 
 def _fixed24(raw: NDArray[np.uint8]) -> NDArray[np.int32]:

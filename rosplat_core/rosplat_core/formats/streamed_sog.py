@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 
 from rosplat_core.formats import sog
 from rosplat_core.formats.bounds import refusing, size_of
-from rosplat_core.formats.decoded import Into, IntoSplats, Made, Progress, Warn
+from rosplat_core.formats.decoded import Into, IntoSplats, Made, Progress, Warn, one_model
 from rosplat_core.log_text import shown
+from rosplat_core.models import Model
 from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import SceneError, Splats, sh_coefficients
 
@@ -65,7 +66,7 @@ class Streamed:
     chunks: tuple[Chunk, ...]
     sh_degree: int
     """The highest of its files."""
-    antialiased: bool
+    model: Model
 
     @property
     def splats(self) -> int:
@@ -94,7 +95,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
         first = parts[source].offset
         packed = pieces.packed(parts[source].file)
         packed.decode(slice(first + rows.start, first + rows.stop), columns)
-    return into.made(scene.path, warn, scene.antialiased)
+    return into.made(scene.path, warn, scene.model)
 
 
 def open_streamed(path: Path) -> Streamed:
@@ -148,10 +149,9 @@ def _scene(path: Path, meta: Any) -> Streamed:
         high = np.max([chunk.high for chunk in chunks], axis=0)
         if claims[-1].splats:
             chunks.append(Chunk(low, high, (FileRange(len(files) - 1, 0, claims[-1].splats),)))
-    if len({claim.antialiased for claim in claims}) > 1:
-        raise SceneError(f"{path}: some of its files are antialiased, and some are not")
+    model = one_model(path, [claim.model for claim in claims])
     degree = max(claim.sh_degree for claim in claims)
-    return Streamed(path, tuple(files), tuple(chunks), degree, claims[0].antialiased)
+    return Streamed(path, tuple(files), tuple(chunks), degree, model)
 
 
 def _claims(files: list[Path], chunks: list[Chunk]) -> list[sog.Claims]:

@@ -37,13 +37,25 @@ from numpy.typing import NDArray
 
 from rosplat_core.formats import usd_child
 from rosplat_core.formats.bounds import claim, size_of, unpackable
-from rosplat_core.formats.decoded import Axes, Columns, Into, Made, Progress, Warn, blocks
+from rosplat_core.formats.decoded import (
+    Axes,
+    Columns,
+    Into,
+    Made,
+    Progress,
+    Warn,
+    blocks,
+    one_model,
+    told_model,
+)
 from rosplat_core.formats.placed import place
 from rosplat_core.log_text import shown
+from rosplat_core.models import Model
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients, splat_bytes
 
 NAME = "OpenUSD"
 SUFFIXES = (".usdc", ".usda", ".usdz", ".usd")
+MODELS = tuple(Model)
 FINITE = True
 KEEPS_ORIGIN = True
 
@@ -91,8 +103,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
         n = sum(field.splats for field in fields)
         degree = max(field.degree for field in fields)
         claim(path, n, n * splat_bytes(degree), size)
-        if len({field.antialiased for field in fields}) > 1:
-            raise SceneError(f"{path}: some of its splats are antialiased, and some are not")
+        model = one_model(path, [field.model for field in fields])
         columns = Columns.empty(n, sh_coefficients(degree))
         columns.sh[:] = 0
         first = 0
@@ -102,7 +113,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
             _fill(path, own, field, stream)
             place(own, field.pose)
             progress(0.9 * first / max(1, n))
-    return into.make(path, warn, columns, fields[0].antialiased)
+    return into.make(path, warn, columns, model)
 
 
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
@@ -140,8 +151,8 @@ def _authored(path: Path, stage: Any, splats: Splats) -> Any:
     prim = stage.DefinePrim("/Splats", usd_child.SPLATS)
     if splats.origin.any():
         UsdGeom.Xformable(prim).AddTranslateOp().Set(tuple(splats.origin.tolist()))
-    if splats.antialiased:
-        prim.SetCustomDataByKey(usd_child.ANTIALIASED, True)
+    if splats.model is not Model.EWA:
+        prim.SetCustomDataByKey(usd_child.MODEL, str(splats.model))
     positions, orientations, scales, opacities, harmonics = usd_child.ARRAYS
     for name, kind, array, values in (
         (positions, types.Point3fArray, Vt.Vec3fArray, splats.positions),
@@ -241,7 +252,7 @@ class _Field(NamedTuple):
     """Harmonics of a splat in the file."""
     pose: NDArray[np.float64]
     """(4, 4), finite, in metres."""
-    antialiased: bool
+    model: Model
     arrays: list[tuple[np.dtype[Any], int] | None]
     """Type and number of rows of each of usd_child.ARRAYS; None for one that the prim lacks."""
     hints: dict[str, str]
@@ -264,7 +275,8 @@ class _Field(NamedTuple):
         if not harmonics or harmonics[1] < stored * count:
             degree = 0
         kept = min(degree, MAX_SH_DEGREE)
-        return cls(count, kept, stored, pose, told["antialiased"], arrays, told["hints"])
+        model = told_model(path, told["model"])
+        return cls(count, kept, stored, pose, model, arrays, told["hints"])
 
     def differs(self) -> Iterator[str]:
         """Yields a warning for each thing that is not drawn or kept as the file has it."""

@@ -27,7 +27,7 @@ DEGREE = "radiance:sphericalHarmonicsDegree"
 ARCS = ("references", "payload")
 CLIPS = "clips"
 NUREC = "omni:nurec:isNuRecVolume"  # an attribute of NVIDIA's volumes, whose splats are elsewhere
-ANTIALIASED = "rosplat:antialiased"  # of customData
+MODEL = "rosplat:model"  # of customData
 HINTS = {"sortingModeHint": "zDepth", "projectionModeHint": "perspective"}
 
 
@@ -170,7 +170,7 @@ def _field(prim: Any) -> tuple[dict[str, Any], list[Any]]:
         "arrays": forms,
         "degree": degree,
         "pose": [list(row) for row in pose],
-        "antialiased": prim.GetCustomDataByKey(ANTIALIASED) is True,
+        "model": prim.GetCustomDataByKey(MODEL),
         "hints": {
             name: str(prim.GetAttribute(name).Get())
             for name in HINTS

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from rosplat_core.harmonics import C0
+from rosplat_core.models import Model
 from rosplat_core.quaternions import to_matrices
 from rosplat_core.splats import LOW_PASS, Splats, concatenate
 
@@ -178,6 +179,8 @@ def combine(
     covariances = [_covariances(one), _covariances(other)]
     covariances.append(_mixed(covariances[0], covariances[1], apart, share))
     variances, axes = np.linalg.eigh(covariances[2][:, _FULL].reshape(-1, 3, 3))
+    if one.model is Model.DISC:  # stays flat along its third axis
+        variances, axes = variances[:, ::-1] * (1, 1, 0), axes[:, :, ::-1].copy()
     axes[:, :, 0] *= np.linalg.det(axes)[:, None]  # no reflection
     merged = replace(
         one,

@@ -58,7 +58,7 @@ def refit(
     """
     fitting = Refit(
         start.positions, start.orientations, start.scales, start.opacities, start.sh,
-        tuple(start.origin.tolist()), start.antialiased,
+        tuple(start.origin.tolist()), start.model,
     )  # fmt: skip
     random = np.random.default_rng(seed)
     began, steps, error = time.monotonic(), most_steps, RATED**2

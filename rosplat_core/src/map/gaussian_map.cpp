@@ -74,6 +74,14 @@ PayloadFormat formatOf(const GaussianBatch& batch) {
   }
 }
 
+void checkModel(const GaussianBatch& batch) {
+  try {
+    modelOf(batch.model);
+  } catch (const std::invalid_argument& error) {
+    throw BatchError(error.what());
+  }
+}
+
 void check(const GaussianBatch& batch) {
   if (batch.revision == 0) throw BatchError("revision is 0, they count from 1");
   if (batch.operation > GaussianBatch::MOVE) {
@@ -84,6 +92,7 @@ void check(const GaussianBatch& batch) {
   if (batch.sh_degree > kMaxShDegree) {
     throw BatchError("sh_degree " + std::to_string(batch.sh_degree) + " is beyond 3");
   }
+  checkModel(batch);
   for (double v : batch.origin) {
     if (!std::isfinite(v)) throw BatchError("origin is not finite");
   }
@@ -152,9 +161,12 @@ void makeRoom(const GaussianBatch& batch, GaussianEdit& edit) {
   }
 }
 
-// Lays out the packed rows of a batch, relative to an origin. Returns which of them are valid.
+constexpr int kThirdScaleWord = 4;
+
+// Lays out the packed rows of a batch, relative to an origin. flat: without third scales. Returns
+// which of them are valid.
 std::vector<bool> layOutRows(const GaussianBatch& batch, const std::array<double, 3>& origin,
-                             GaussianEdit& edit) {
+                             bool flat, GaussianEdit& edit) {
   const std::size_t n = batch.count, bytes = packed_rows::size(1, batch.sh_degree);
   std::vector<bool> kept(n, false);
   std::array<std::uint32_t, rowWords(kMaxShDegree)> row{};
@@ -162,7 +174,8 @@ std::vector<bool> layOutRows(const GaussianBatch& batch, const std::array<double
   const bool rebase = batch.origin != origin;
   for (std::size_t i = 0; i < n; ++i) {
     std::memcpy(row.data(), batch.payload.data + bytes * i, bytes);
-    row[kChangeWord] &= 0xffffu;  // the upper half is the receiver's own
+    row[kChangeWord] &= 0xffffu;                // the upper half is the receiver's own
+    if (flat) row[kThirdScaleWord] &= 0xffffu;  // its upper half
     for (int k = 0; rebase && k < 3; ++k) {
       float x;
       std::memcpy(&x, &row[k], sizeof(x));
@@ -181,7 +194,7 @@ std::vector<bool> layOutRows(const GaussianBatch& batch, const std::array<double
 }
 
 // Does the same with the arrays of a batch.
-std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>& origin,
+std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>& origin, bool flat,
                          GaussianEdit& edit) {
   const std::size_t n = batch.count;
   std::vector<bool> kept(n, false);
@@ -212,6 +225,7 @@ std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>
     std::copy_n(position, 3, splat.position.begin());
     std::copy_n(q, 4, splat.orientation.begin());
     std::copy_n(scale, 3, splat.scale.begin());
+    if (flat) splat.scale[2] = 0;
     std::copy_n(sh, 3, splat.color.begin());
     splat.opacity = std::clamp(batch.opacities[i], 0.0f, 1.0f);
     std::array<std::uint32_t*, kMaxShDegree + 1> bands{};
@@ -409,15 +423,16 @@ MapState GaussianMap::stateAfter(const GaussianBatch& batch, BatchReport& report
 
 std::vector<bool> GaussianMap::layOutSplats(const GaussianBatch& batch, MapState& next,
                                             GaussianEdit& edit) const {
-  if (batch.count > 0 && next.capacity == 0) next.antialiased = batch.antialiased;
+  if (batch.count > 0 && next.capacity == 0) next.model = Model(batch.model);
+  const bool flat = next.model == Model::kDisc;
   edit.sh_degree = std::min<int>(batch.sh_degree, most_sh_degree_);
   makeRoom(batch, edit);
   std::vector<bool> kept;
   if (batch.format == packed_rows::kFormat) {
-    kept = layOutRows(batch, edit.origin, edit);
+    kept = layOutRows(batch, edit.origin, flat, edit);
   } else {
     DecodedPayload decoded;
-    kept = layOut(decoded.decode(batch), edit.origin, edit);
+    kept = layOut(decoded.decode(batch), edit.origin, flat, edit);
   }
   if (batch.count > 0) {
     next.channels = joined(std::move(next.channels), batch.channel_names);

@@ -51,7 +51,7 @@ PublishedContent::PublishedContent(const SplatsView& splats,
                                    const std::shared_ptr<const void>& keeper)
     : channels_(channelsOf({}, splats)), sh_degree_(splats.arrays.sh_degree) {
   if (splats.arrays.count == 0) return;
-  antialiased_ = splats.antialiased;
+  model_ = splats.model;
   groups_[0].origin = splats.origin;
   for (std::size_t first = 0; first < splats.arrays.count; first += kPageSlots) {
     Page& page = pages_[static_cast<std::uint32_t>(first / kPageSlots)];
@@ -78,9 +78,9 @@ PublishedContent::Plan PublishedContent::prepareWrite(const NamedSlots& slots,
     plan.places.push_back(static_cast<std::size_t>(place - plan.channels.begin()));
   }
   if (slots.empty()) return plan;
-  if (antialiased_.value_or(splats.antialiased) != splats.antialiased) {
-    throw std::invalid_argument(
-        "antialiased: can't mix antialiased splats with others, they are drawn differently");
+  if (model_.value_or(splats.model) != splats.model) {
+    throw std::invalid_argument("model: can't mix " + nameOf(splats.model) + " splats with " +
+                                nameOf(*model_) + " ones, they are drawn differently");
   }
   const auto touched = slots.touched();
   for (const auto& [number, count] : touched) {
@@ -110,7 +110,7 @@ std::size_t PublishedContent::write(const NamedSlots& slots, const SplatsView& s
   if (slots.empty()) return 0;
   channels_ = plan.channels;
   sh_degree_ = std::max(sh_degree_, plan.sh_degree);
-  antialiased_ = splats.antialiased;
+  model_ = splats.model;
   auto& origin = groups_[group].origin;
   if (!origin) origin = splats.origin;
   for (const auto& [number, count] : slots.touched()) {
@@ -208,7 +208,7 @@ std::vector<PublishedMap::Group> PublishedContent::groups() const {
     }
     const NamedSlots named(slots.data(), slots.size());
     group.splats.origin = originOf(number);
-    group.splats.antialiased = antialiased();
+    group.splats.model = model();
     read(named, sh_degree_, group.splats);
     const std::vector<float> values = readChannels(named, channels_);
     auto first = values.begin();

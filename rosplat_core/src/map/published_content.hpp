@@ -52,7 +52,7 @@ class PublishedContent {
 
   std::size_t used() const { return used_; }
   int shDegree() const { return sh_degree_; }
-  bool antialiased() const { return antialiased_.value_or(false); }
+  Model model() const { return model_.value_or(Model::kEwa); }
   const std::vector<std::string>& channels() const { return channels_; }
   // Size of a splat in a message. listed: with the slot's number. [bytes]
   static std::size_t splatBytes(int sh_degree, std::size_t channel_count, bool listed);
@@ -125,7 +125,7 @@ class PublishedContent {
   std::vector<std::string> channels_;
   std::size_t used_ = 0;
   int sh_degree_ = 0;
-  std::optional<bool> antialiased_;  // as the first splats
+  std::optional<Model> model_;  // as the first splats
 };
 
 }  // namespace rosplat

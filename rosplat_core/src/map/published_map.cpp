@@ -347,7 +347,7 @@ Batch PublishedMap::batch(std::uint8_t operation, const When& stamp) const {
 Batch PublishedMap::beginning(const When& stamp) const {
   Batch beginning = batch(GaussianBatch::REPLACE, stamp);
   beginning.sh_degree = map_->shDegree();
-  beginning.antialiased = map_->antialiased();
+  beginning.model = map_->model();
   return beginning;
 }
 
@@ -362,7 +362,7 @@ Batch PublishedMap::writing(std::uint8_t operation, const NamedSlots& slots, std
   writing.sh_degree = sh_degree;
   writing.channel_names = channels;
   writing.channels = map_->readChannels(slots, channels);
-  writing.antialiased = map_->antialiased();
+  writing.model = map_->model();
   writing.origin = map_->originOf(group);
   if (slots.empty()) return writing;
   if (compression_ == payload::kFormat && quantise(slots, writing)) return writing;

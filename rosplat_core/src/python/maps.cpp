@@ -151,8 +151,7 @@ void defineMaps(py::module_& module) {
       .def_property_readonly(
           "sample", [](const GaussianMap& m) { return toArray(m.samplePositions()); },
           "Where some thousand splats are, whatever its size, in its frame, float64 (n, 3). [m]")
-      .def_property_readonly("antialiased",
-                             [](const GaussianMap& m) { return m.state().antialiased; });
+      .def_property_readonly("model", [](const GaussianMap& m) { return int(m.state().model); });
   defineApply(map, [](GaussianMap& m, const GaussianBatch& batch) {
     BatchReport report;
     m.apply(batch, report);

@@ -11,6 +11,7 @@
 #include "python/module.hpp"
 #include "rosplat_core/map/published_map.hpp"
 #include "rosplat_core/python/bindings.hpp"
+#include "rosplat_core/slots/model.hpp"
 #include "rosplat_core/slots/packed_slot.hpp"
 
 namespace rosplat::python {
@@ -58,7 +59,7 @@ struct HeldSplats {
       view.arrays.sh = array("sh", view.arrays.shStride());
     }
     view.origin = splats.attr("origin").cast<std::array<double, 3>>();
-    view.antialiased = splats.attr("antialiased").cast<bool>();
+    view.model = modelOf(splats.attr("model").cast<int>());
     for (const py::handle item : splats.attr("channels").attr("items")()) {
       const auto& [name, values] = item.cast<std::pair<std::string, py::object>>();
       view.channels.emplace_back(name, keep("channels '" + name + "'", values, 1, 0.0f));
@@ -119,7 +120,7 @@ void defineBatch(py::module_& module) {
       .def_property_readonly("poses", [](const Batch& batch) { return valuesOf(batch.poses); })
       .def_readonly("sh_degree", &Batch::sh_degree)
       .def_readonly("format", &Batch::format)
-      .def_readonly("antialiased", &Batch::antialiased)
+      .def_property_readonly("model", [](const Batch& batch) { return int(batch.model); })
       .def_readonly("origin", &Batch::origin)
       .def_readonly("channel_names", &Batch::channel_names);
   defineArray(type, "slots", &Batch::slots);
@@ -153,7 +154,7 @@ py::tuple toPython(PublishedMap::Group&& group) {
                "sh"_a = toArray(std::move(splats.sh), {n, k, 3}),
                "origin"_a =
                    toArray(std::vector<double>(splats.origin.begin(), splats.origin.end()), {3}),
-               "antialiased"_a = splats.antialiased, "channels"_a = channels));
+               "model"_a = int(splats.model), "channels"_a = channels));
 }
 
 }  // namespace

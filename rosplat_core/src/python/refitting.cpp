@@ -5,6 +5,7 @@
 #include "python/module.hpp"
 #include "rosplat_core/python/bindings.hpp"
 #include "rosplat_core/refit/refit.hpp"
+#include "rosplat_core/slots/model.hpp"
 
 namespace rosplat::python {
 
@@ -13,7 +14,7 @@ namespace {
 std::unique_ptr<Refit> refitOf(const Array<float>& positions, const Array<float>& orientations,
                                const Array<float>& scales, const Array<float>& opacities,
                                const Array<float>& sh, const std::array<double, 3>& origin,
-                               bool antialiased, unsigned threads,
+                               int model, unsigned threads,
                                CpuRasterizer::Instructions instructions) {
   SplatsView splats;
   SplatArrays<const float>& arrays = splats.arrays;
@@ -31,7 +32,7 @@ std::unique_ptr<Refit> refitOf(const Array<float>& positions, const Array<float>
   arrays.opacities = opacities.data();
   arrays.sh = sh.data();
   splats.origin = origin;
-  splats.antialiased = antialiased;
+  splats.model = modelOf(model);
   return std::make_unique<Refit>(splats, std::make_shared<ThreadTeam>(threads), instructions);
 }
 
@@ -55,7 +56,7 @@ void defineRefitting(py::module_& module) {
            "bands"_a);
   py::class_<Refit>(module, "Refit")
       .def(py::init(&refitOf), "positions"_a, "orientations"_a, "scales"_a, "opacities"_a, "sh"_a,
-           "origin"_a, "antialiased"_a, "threads"_a = 0,
+           "origin"_a, "model"_a, "threads"_a = 0,
            "instructions"_a = CpuRasterizer::Instructions::kBest)
       .def(
           "step",

@@ -12,6 +12,7 @@
 #include "rosplat_core/map/host_slots.hpp"
 #include "rosplat_core/python/bindings.hpp"
 #include "rosplat_core/raster/cpu_rasterizer.hpp"
+#include "rosplat_core/slots/model.hpp"
 #include "rosplat_core/views/render_settings.hpp"
 
 namespace rosplat::python {
@@ -236,10 +237,6 @@ void defineRendering(py::module_& module) {
       .value("AUTO", ChannelColours::kAuto)
       .value("CATEGORIES", ChannelColours::kCategories)
       .value("GRADIENT", ChannelColours::kGradient);
-  py::enum_<Antialiasing>(module, "Antialiasing")
-      .value("AS_TRAINED", Antialiasing::kAsTrained)
-      .value("ON", Antialiasing::kOn)
-      .value("OFF", Antialiasing::kOff);
   py::enum_<OrderSource>(module, "OrderSource")
       .value("AUTO", OrderSource::kAuto)
       .value("SIDECAR", OrderSource::kSidecar)
@@ -263,7 +260,14 @@ void defineRendering(py::module_& module) {
       .def_readwrite("interactive", &RenderSettings::interactive)
       .def_readwrite("scale", &RenderSettings::scale)
       .def_readwrite("opacity", &RenderSettings::opacity)
-      .def_readwrite("antialiasing", &RenderSettings::antialiasing)
+      .def_property(
+          "model",
+          [](const RenderSettings& s) {
+            return s.model ? std::optional(int(*s.model)) : std::nullopt;
+          },
+          [](RenderSettings& s, std::optional<int> model) {
+            s.model = model ? std::optional(modelOf(*model)) : std::nullopt;
+          })
       .def_readwrite("order", &RenderSettings::order)
       .def_readwrite("rasterizer", &RenderSettings::rasterizer)
       .def_readwrite("profile", &RenderSettings::profile)

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "raster/raster_work.hpp"
+#include "rosplat_core/slots/model.hpp"
 
 namespace rosplat {
 
@@ -99,6 +100,8 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
   for (std::size_t i = 0; i < layers.size(); ++i) {
     setView(request.layers[i], request.now, layers[i]);
   }
+  conics = std::any_of(layers.begin(), layers.end(),
+                       [](const SeenLayer& layer) { return !isEwa(layer.project.model); });
   ordered = request.order.has_value();
   if (ordered) setOrder(*request.layers.front().slots, *request.order);
   pages.clear();

@@ -1,6 +1,7 @@
 #include "raster/kernels.hpp"
 
 #include "raster/simd.hpp"
+#include "rosplat_core/views/conic.hpp"
 
 namespace rosplat::cpu::ROSPLAT_TARGET {
 
@@ -334,7 +335,7 @@ std::size_t hide(const CullView& view, const ProjectView& project_view, const Py
                  const PageSlots& page, std::uint16_t* places_of, std::uint16_t* numbers,
                  std::size_t count) {
   constexpr float kMargin =
-      2.1f;  // for the low-pass filter, as kMarginPixels, and for rounding [px]
+      2.6f;  // for the low-pass filter or spot, as kMarginPixels, and for rounding [px]
   const GroupView group = *page.group;  // a copy that no store below can alias
   std::size_t n = 0;
   for (std::size_t first = 0; first < count; first += kLanes) {
@@ -379,9 +380,41 @@ std::size_t hide(const CullView& view, const ProjectView& project_view, const Py
   return n;
 }
 
-std::size_t project(const ProjectView& given, const PageSlots& page, const std::uint16_t* places_of,
-                    std::size_t count, Record* records, Footprint* footprints,
-                    std::uint16_t* kept) {
+// An ellipse in the picture: where a splat's alpha is at least 1/255.
+struct Ellipse {
+  Floats x, y;     // centre [px]
+  Floats a, b, c;  // xx, xy, yy of its covariance, and the determinant [px^2]
+  Floats determinant;
+};
+
+// The outline of a conic around a point; an ellipse around the whole picture where it is open.
+Ellipse ellipseOf(const ProjectView& view, const Conic<Floats>& conic, Floats cut2, Floats x,
+                  Floats y, Vec2 spot) {
+  const Outline<Floats> o = outlineOf(conic, cut2);
+  Ellipse e = {x + o.x, y + o.y, o.xx, o.xy, o.yy, o.determinant};
+  if (view.model == Model::kDisc) {  // with room for the spot
+    const Floats dx = spot.x - e.x, dy = spot.y - e.y;
+    const Floats reach = sqrt(cut2 * (1.0f / kSpot)) + sqrt(dx * dx + dy * dy);
+    const Floats more = reach * reach / cut2;
+    e.determinant += more * (e.a + e.c + more);
+    e.a += more;
+    e.c += more;
+  }
+  const float size = view.width + view.height;
+  const Ints closed = (o.w > kLeastAhead) & (cut2 * (e.a + e.c) < 1e4f * size * size);
+  const Floats around = size * size / cut2;
+  return {closed ? e.x : all(0.5f * view.width),
+          closed ? e.y : all(0.5f * view.height),
+          closed ? e.a : around,
+          closed ? e.b : Floats{},
+          closed ? e.c : around,
+          closed ? e.determinant : around * around};
+}
+
+template <bool kConic>
+std::size_t projectAs(const ProjectView& given, const PageSlots& page,
+                      const std::uint16_t* places_of, std::size_t count, Record* records,
+                      RayShape* shapes, Footprint* footprints, std::uint16_t* kept) {
   const ProjectView view = given;  // copies that no store below can alias
   const GroupView group = *page.group;
   const bool balls = view.mode == DrawMode::kFlatBall || view.mode == DrawMode::kGaussianBall;
@@ -422,8 +455,12 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
       const Floats over_z = 1.0f / p.z;
       const Floats tx = p.x * over_z, ty = p.y * over_z;
       jx = view.fx * over_z, jy = view.fy * over_z;
-      jxz = -jx * clamp(tx, all(view.least_tangent[0]), all(view.most_tangent[0]));
-      jyz = -jy * clamp(ty, all(view.least_tangent[1]), all(view.most_tangent[1]));
+      if constexpr (kConic) {
+        jxz = -jx * tx, jyz = -jy * ty;
+      } else {
+        jxz = -jx * clamp(tx, all(view.least_tangent[0]), all(view.most_tangent[0]));
+        jyz = -jy * clamp(ty, all(view.least_tangent[1]), all(view.most_tangent[1]));
+      }
       x = view.fx * tx + view.cx, y = view.fy * ty + view.cy;
     }
 
@@ -431,6 +468,7 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
     Vec3 scale = {scaleOf(appearance[0] >> 16), scaleOf(appearance[1] & 0xffffu),
                   scaleOf(appearance[1] >> 16)};
     scale = all(view.scale_modifier) * scale;
+    if (kConic && view.model == Model::kDisc && page.own_cell == 0.0f) scale.z = Floats{};
     if (view.mode == DrawMode::kBillboard) {
       scale.x = scale.y = scale.z = (scale.x + scale.y + scale.z) / 3.0f;
     }
@@ -446,18 +484,38 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
       m[i] = scale * Vec3{dot(rows[i], orientation[0]), dot(rows[i], orientation[1]),
                           dot(rows[i], orientation[2])};
     }
-    const Vec3 area = {m[0].y * m[1].z - m[0].z * m[1].y, m[0].z * m[1].x - m[0].x * m[1].z,
-                       m[0].x * m[1].y - m[0].y * m[1].x};
-    const Floats a0 = dot(m[0], m[0]), b = dot(m[0], m[1]), c0 = dot(m[1], m[1]);
-    const Floats det0 = dot(area, area);  // of M M^T by Cauchy-Binet: no cancellation for needles
-    const Floats a = a0 + kLowPass, c = c0 + kLowPass;
-    const Floats det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
-    if (view.antialiased) {
-      opacity *= sqrt(det0 / det);
+    Floats a, b, c, det;  // covariance of the response, and its determinant
+    Conic<Floats> conic;
+    if constexpr (kConic) {
+      Rows<Floats> of = {{m[0].x, m[0].y, m[0].z}, {m[1].x, m[1].y, m[1].z}, {}};
+      if (!view.orthographic) {
+        const Floats over_z = 1.0f / p.z;
+        const Floats* const scales = &scale.x;
+        for (int k = 0; k < 3; ++k) {
+          of.ahead[k] = over_z * scales[k] *
+                        (ahead[0] * orientation[k].x + ahead[1] * orientation[k].y +
+                         ahead[2] * orientation[k].z);
+        }
+      }
+      conic = conicOf(of);
+      a = conic.xx, b = conic.xy, c = conic.yy, det = conic.determinant;
+    } else {
+      const Vec3 area = {m[0].y * m[1].z - m[0].z * m[1].y, m[0].z * m[1].x - m[0].x * m[1].z,
+                         m[0].x * m[1].y - m[0].y * m[1].x};
+      const Floats a0 = dot(m[0], m[0]), c0 = dot(m[1], m[1]);
+      const Floats det0 = dot(area, area);  // by Cauchy-Binet: no cancellation for needles
+      b = dot(m[0], m[1]);
+      a = a0 + kLowPass, c = c0 + kLowPass;
+      det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
+      if (view.model == Model::kEwaAntialiased) opacity *= sqrt(det0 / det);
     }
 
     const Floats mid = 0.5f * (a + c), half = 0.5f * (a - c), radius = sqrt(half * half + b * b);
-    const Floats major = mid + radius, minor = det / major;
+    Floats major = mid + radius, minor = det / major;
+    if constexpr (kConic) {
+      constexpr float kLeast = 1e-20f;  // of a splat without size [px^2]
+      major = max(major, all(kLeast)), minor = max(minor, all(kLeast));
+    }
     // Eigenvector of the larger eigenvalue, from the longer of two equivalent formulas.
     Vec2 axis = {a > c ? radius + half : b, a > c ? b : radius - half};
     const Floats norm = sqrt(axis.x * axis.x + axis.y * axis.y);
@@ -470,13 +528,23 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
         balls ? all(kBallSigmas)
               : min(sqrt((2.0f * kLog2) * max(peak - kCutoffEnd * kSquared, all(0.0f))),
                     all(kMaxSigmas));
-    const Floats reach_x = sigmas * sqrt(a), reach_y = sigmas * sqrt(c);
+    Ellipse outline = {x, y, a, b, c, det};
+    Vec2 spot = {x, y};
+    if constexpr (kConic) {
+      if (view.model == Model::kDisc) {
+        Vec2 beside;
+        spotOf(conic, beside.x, beside.y);
+        spot = {x + beside.x, y + beside.y};
+      }
+      outline = ellipseOf(view, conic, max(sigmas * sigmas, all(1e-6f)), x, y, spot);
+    }
+    const Floats reach_x = sigmas * sqrt(outline.a), reach_y = sigmas * sqrt(outline.c);
     const Floats window_depth = windowDepthOf(view, p.z);
-    const PixelSpan columns = pixelsIn(x - reach_x, x + reach_x, int(view.width));
-    const PixelSpan lines = pixelsIn(y - reach_y, y + reach_y, int(view.height));
+    const PixelSpan columns = pixelsIn(outline.x - reach_x, outline.x + reach_x, int(view.width));
+    const PixelSpan lines = pixelsIn(outline.y - reach_y, outline.y + reach_y, int(view.height));
     Ints seen = (opacity >= kCutoffAlpha) & (major < 1e16f) & (window_depth >= 0.0f);
-    seen &= (x + reach_x > 0.0f) & (y + reach_y > 0.0f) & (x - reach_x < view.width) &
-            (y - reach_y < view.height);
+    seen &= (outline.x + reach_x > 0.0f) & (outline.y + reach_y > 0.0f) &
+            (outline.x - reach_x < view.width) & (outline.y - reach_y < view.height);
     seen &= (columns.first < columns.last) & (lines.first < lines.last);
     seen &= counting() < float(lanes);
     if (!any(seen)) continue;
@@ -486,16 +554,16 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
     const Floats per_sigma = all(kHalfLog2 / 4.0f);  // 4^2 is kSquared
     const Floats u = per_sigma / sqrt(major), v = per_sigma / sqrt(minor);
     static_assert(kSquared == 16);
-    const Floats over_c = 1.0f / c;
-    const Floats half_width = sigmas * sqrt(det * over_c);
-    const Floats lean = b * over_c, rightmost = sigmas * b / sqrt(a);
+    const Floats over_c = 1.0f / outline.c;
+    const Floats half_width = sigmas * sqrt(outline.determinant * over_c);
+    const Floats lean = outline.b * over_c, rightmost = sigmas * outline.b / sqrt(outline.a);
     const Floats kept_peak = balls ? Floats{} : peak * (1.0f / kSquared);
 
     // The tiles in the footprint's first rows, as across() in splat_tiles.glsl finds them.
     const PixelSpan box = tilesOf(columns), rows_of_tiles = tilesOf(lines);
     const Ints many = seen ? rows_of_tiles.last - rows_of_tiles.first : Ints{};
     Ints first[Footprint::kRows], last[Footprint::kRows];
-    Floats down = toFloats(rows_of_tiles.first * kTile) + 0.5f - y;
+    Floats down = toFloats(rows_of_tiles.first * kTile) + 0.5f - outline.y;
     const Floats over_reach = 1.0f / (reach_y * reach_y);
     for (int row = 0; row < Footprint::kRows; ++row, down += float(kTile)) {
       if (row > 0 && !any(many > row)) {
@@ -508,8 +576,9 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
       const auto half = [&](Floats at) {
         return half_width * sqrt(max(1.0f - at * at * over_reach, Floats{}));
       };
-      const PixelSpan span = tilesOf(
-          pixelsIn(x + lean * left - half(left), x + lean * right + half(right), int(view.width)));
+      const PixelSpan span =
+          tilesOf(pixelsIn(outline.x + lean * left - half(left),
+                           outline.x + lean * right + half(right), int(view.width)));
       first[row] = max(span.first, box.first);
       last[row] = min(span.last, box.last);
     }
@@ -529,6 +598,15 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
       record.bottom = std::int16_t(lines.last[i]);
       record.index = page.first_index + std::uint32_t(places[i]);
       record.share = ball_share < 0.0f ? ball_share : share[i];
+      if constexpr (kConic) {
+        const float per_square = kHalfLog2 * kHalfLog2 / kSquared;
+        shapes[n] = {conic.tilt[0][i],
+                     conic.tilt[1][i],
+                     conic.nearness[i] / per_square,
+                     spot.x[i],
+                     spot.y[i],
+                     view.model == Model::kDisc ? kSpot * per_square : kNoSpot};
+      }
       Footprint& footprint = footprints[n];
       footprint.top = std::int16_t(rows_of_tiles.first[i]);
       footprint.bottom = std::int16_t(rows_of_tiles.last[i]);
@@ -539,8 +617,8 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
       footprint.left = std::int16_t(box.first[i]);
       footprint.right = std::int16_t(box.last[i]);
       if (many[i] > Footprint::kRows) {
-        footprint.x = x[i];
-        footprint.y = y[i];
+        footprint.x = outline.x[i];
+        footprint.y = outline.y[i];
         footprint.reach_y = reach_y[i];
         footprint.half_width = half_width[i];
         footprint.lean = lean[i];
@@ -549,6 +627,20 @@ std::size_t project(const ProjectView& given, const PageSlots& page, const std::
       kept[n] = std::uint16_t(first_of + std::size_t(i));
       ++n;
     }
+  }
+  return n;
+}
+
+std::size_t project(const ProjectView& view, const PageSlots& page, const std::uint16_t* places,
+                    std::size_t count, Record* records, RayShape* shapes, Footprint* footprints,
+                    std::uint16_t* kept) {
+  if (view.model == Model::kRay || view.model == Model::kDisc) {
+    return projectAs<true>(view, page, places, count, records, shapes, footprints, kept);
+  }
+  const std::size_t n =
+      projectAs<false>(view, page, places, count, records, nullptr, footprints, kept);
+  for (std::size_t i = 0; shapes && i < n; ++i) {
+    shapes[i] = {0, 0, 0, records[i].x, records[i].y, kNoSpot};
   }
   return n;
 }
@@ -583,16 +675,23 @@ bool ended(const float* transmittance, const float* behind, float ends_at) {
 constexpr std::size_t kAhead = 8;      // records are prefetched this many splats ahead
 constexpr std::size_t kPatience = 32;  // splats between tests whether a tile has ended
 
-// Calls blendOf(record)(pixel, exponents, covered) for each splat of a tile, nearest first, and for
-// each vector of pixels in the splat's box, until nothing behind can be seen. Returns whether that
-// is so at the end.
-template <typename BlendOf>
-bool walk(const Listed* listed, std::size_t count, const Record* records, int left, int top,
-          const float* transmittance, const float* behind, float ends_at, const BlendOf& blendOf) {
+// Calls blendOf(record)(pixel, exponents, covered, depths) for each splat of a tile, nearest first,
+// and for each vector of pixels in the splat's box, until nothing behind can be seen. Returns
+// whether that is so at the end. kConic: the splats have shapes.
+template <bool kConic, typename BlendOf>
+bool walk(const ListedTile& tile, const float* transmittance, const float* behind, float ends_at,
+          const BlendOf& blendOf) {
   const Floats columns = counting();
+  const Listed* const listed = tile.listed;
+  const Record* const records = tile.records;
+  const std::size_t count = tile.count;
+  const int left = tile.left, top = tile.top;
   for (std::size_t k = 0; k < count; ++k) {
     if (k % kPatience == 0 && ended(transmittance, behind, ends_at)) return true;
-    if (k + kAhead < count) __builtin_prefetch(records + listed[k + kAhead].record);
+    if (k + kAhead < count) {
+      __builtin_prefetch(records + listed[k + kAhead].record);
+      if (kConic) __builtin_prefetch(tile.shapes + listed[k + kAhead].record);
+    }
     const Record& e = records[listed[k].record];
     const auto blend = blendOf(e);
     const int first = most(e.top - top, 0), last = least(e.bottom - top, kTile);
@@ -602,14 +701,37 @@ bool walk(const Listed* listed, std::size_t count, const Record* records, int le
     const Floats along_u = fma(columns, all(e.ux), all(e.ux * dx + e.uy * dy));
     const Floats along_v = fma(columns, all(e.vx), all(e.vx * dx + e.vy * dy));
     const Floats down_u = all(e.uy), down_v = all(e.vy), peak = all(e.peak);
+    const Floats depth = all(e.depth);
     const Floats end = all(e.share < 0.0f ? kBallEnd : kCutoffEnd);
     for (int column = begin; column < end_column; column += kLanes) {
       Floats u = along_u + float(column) * e.ux, v = along_v + float(column) * e.vx;
-      for (int row = first; row < last; ++row) {
-        const Floats exponent = fma(-v, v, fma(-u, u, peak));
-        blend(kTile * row + column, exponent, exponent >= end);
-        u += down_u;
-        v += down_v;
+      if constexpr (kConic) {
+        const RayShape& shape = tile.shapes[listed[k].record];
+        const Floats x = columns + (float(column) + dx);
+        const Floats beside = x + (e.x - shape.spot_x);
+        const Floats spot = all(shape.spot), level = peak - spot * beside * beside;
+        Floats below = all(dy + e.y - shape.spot_y);
+        Floats along = fma(x, all(shape.tilt_x), all(1.0f + shape.tilt_y * dy));
+        for (int row = first; row < last; ++row) {
+          const Floats flat = fma(v, v, u * u);
+          const Floats over = 1.0f / fma(along, along, shape.nearness * flat);
+          const Floats on_ray = fma(-flat, over, peak);
+          const Floats of_spot = fma(-spot * below, below, level);
+          const Floats exponent = max(on_ray, of_spot);
+          const Floats seen = on_ray < of_spot ? depth : max(depth * along * over, Floats{});
+          blend(kTile * row + column, exponent, exponent >= end, seen);
+          u += down_u;
+          v += down_v;
+          along += shape.tilt_y;
+          below += 1.0f;
+        }
+      } else {
+        for (int row = first; row < last; ++row) {
+          const Floats exponent = fma(-v, v, fma(-u, u, peak));
+          blend(kTile * row + column, exponent, exponent >= end, depth);
+          u += down_u;
+          v += down_v;
+        }
       }
     }
   }
@@ -643,63 +765,72 @@ void blendInto(TilePixels& into, int pixel, Floats falloff, Ints where, const Fl
   }
 }
 
-template <PictureDepth kDepth, bool kOpaque, bool kDivided>
+template <bool kConic, PictureDepth kDepth, bool kOpaque, bool kDivided>
 bool blendAs(const BlendTile& tile) {
   TilePixels& pixels = *tile.pixels;
-  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, pixels.transmittance,
-              kDivided ? tile.behind->transmittance : nullptr, tile.ends_at, [&](const Record& e) {
-                const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
-                const Floats depth = all(e.depth), window_depth = all(e.window_depth);
-                const float share = e.share;
-                return [=, &pixels, &tile](int pixel, Floats exponent, Ints covered) {
-                  const Floats falloff = falloffOf(exponent);
-                  if (kOpaque) covered &= window_depth <= load(tile.opaque + pixel);
-                  if (!kDivided) {
-                    blendInto<kDepth>(pixels, pixel, falloff, covered, colour, depth, share);
-                    return;
-                  }
-                  const Ints before = window_depth <= load(tile.divided + pixel);
-                  blendInto<kDepth>(pixels, pixel, falloff, covered & before, colour, depth, share);
-                  blendInto<PictureDepth::kMean>(*tile.behind, pixel, falloff, covered & ~before,
-                                                 colour, 1.0f - window_depth, share);
-                };
-              });
+  return walk<kConic>(
+      tile, pixels.transmittance, kDivided ? tile.behind->transmittance : nullptr, tile.ends_at,
+      [&](const Record& e) {
+        const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
+        const Floats window_depth = all(e.window_depth);
+        const float share = e.share;
+        return [=, &pixels, &tile](int pixel, Floats exponent, Ints covered, Floats depth) {
+          const Floats falloff = falloffOf(exponent);
+          if (kOpaque) covered &= window_depth <= load(tile.opaque + pixel);
+          if (!kDivided) {
+            blendInto<kDepth>(pixels, pixel, falloff, covered, colour, depth, share);
+            return;
+          }
+          const Ints before = window_depth <= load(tile.divided + pixel);
+          blendInto<kDepth>(pixels, pixel, falloff, covered & before, colour, depth, share);
+          blendInto<PictureDepth::kMean>(*tile.behind, pixel, falloff, covered & ~before, colour,
+                                         1.0f - window_depth, share);
+        };
+      });
 }
 
-template <PictureDepth kDepth>
+template <bool kConic, PictureDepth kDepth>
 bool blendWith(const BlendTile& tile) {
   if (tile.divided) {
-    return tile.opaque ? blendAs<kDepth, true, true>(tile) : blendAs<kDepth, false, true>(tile);
+    return tile.opaque ? blendAs<kConic, kDepth, true, true>(tile)
+                       : blendAs<kConic, kDepth, false, true>(tile);
   }
-  return tile.opaque ? blendAs<kDepth, true, false>(tile) : blendAs<kDepth, false, false>(tile);
+  return tile.opaque ? blendAs<kConic, kDepth, true, false>(tile)
+                     : blendAs<kConic, kDepth, false, false>(tile);
+}
+
+template <bool kConic>
+bool blendTo(const BlendTile& tile, PictureDepth depth) {
+  if (depth == PictureDepth::kMean) return blendWith<kConic, PictureDepth::kMean>(tile);
+  if (depth == PictureDepth::kMedian) return blendWith<kConic, PictureDepth::kMedian>(tile);
+  return blendWith<kConic, PictureDepth::kNone>(tile);
 }
 
 bool blend(const BlendTile& tile, PictureDepth depth) {
-  if (depth == PictureDepth::kMean) return blendWith<PictureDepth::kMean>(tile);
-  if (depth == PictureDepth::kMedian) return blendWith<PictureDepth::kMedian>(tile);
-  return blendWith<PictureDepth::kNone>(tile);
+  return tile.shapes ? blendTo<true>(tile, depth) : blendTo<false>(tile, depth);
 }
 
-bool pick(const PickTile& tile) {
-  return walk(tile.listed, tile.count, tile.records, tile.left, tile.top, tile.transmittance,
-              nullptr, kLeastPicked, [&](const Record& e) {
-                const bool ball = e.share < 0.0f;
-                return [=, &e, &tile](int pixel, Floats exponent, Ints covered) {
-                  if (tile.opaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
-                  const Floats alpha =
-                      covered ? (ball ? all(1.0f) : min(falloffOf(exponent), all(kMaxAlpha)))
-                              : Floats{};
-                  const Floats transmittance = load(tile.transmittance + pixel);
-                  const Floats weight = transmittance * alpha;
-                  const Floats so_far = load(tile.most + pixel);
-                  const Ints more = weight > so_far;
-                  store(tile.most + pixel, more ? weight : so_far);
-                  const Ints index = load<Ints>(tile.index + pixel);
-                  store(tile.index + pixel, more ? allInts(std::int32_t(e.index)) : index);
-                  store(tile.transmittance + pixel, transmittance - weight);
-                };
-              });
+template <bool kConic>
+bool pickAs(const PickTile& tile) {
+  return walk<kConic>(tile, tile.transmittance, nullptr, kLeastPicked, [&](const Record& e) {
+    const bool ball = e.share < 0.0f;
+    return [=, &e, &tile](int pixel, Floats exponent, Ints covered, Floats) {
+      if (tile.opaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
+      const Floats alpha =
+          covered ? (ball ? all(1.0f) : min(falloffOf(exponent), all(kMaxAlpha))) : Floats{};
+      const Floats transmittance = load(tile.transmittance + pixel);
+      const Floats weight = transmittance * alpha;
+      const Floats so_far = load(tile.most + pixel);
+      const Ints more = weight > so_far;
+      store(tile.most + pixel, more ? weight : so_far);
+      const Ints index = load<Ints>(tile.index + pixel);
+      store(tile.index + pixel, more ? allInts(std::int32_t(e.index)) : index);
+      store(tile.transmittance + pixel, transmittance - weight);
+    };
+  });
 }
+
+bool pick(const PickTile& tile) { return tile.shapes ? pickAs<true>(tile) : pickAs<false>(tile); }
 
 // The sum of all lanes. Adding lane after lane would take longer than blending a splat's pixels.
 float sumOf(Floats v) {
@@ -711,7 +842,8 @@ float sumOf(Floats v) {
   return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-bool contribute(const ContributeTile& tile) {
+template <bool kConic>
+bool contributeAs(const ContributeTile& tile) {
   TilePixels& pixels = *tile.pixels;
   Contribution* next = tile.splats;
   Floats weights = {}, energies = {}, errors = {}, residuals = {};  // of the current splat
@@ -721,37 +853,40 @@ bool contribute(const ContributeTile& tile) {
     weights = energies = errors = residuals = Floats{};
   };
   const bool has_ended =
-      walk(tile.listed, tile.count, tile.records, tile.left, tile.top, pixels.transmittance,
-           nullptr, tile.ends_at, [&](const Record& e) {
-             finish();
-             ++next;
-             const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
-             return [=, &pixels, &tile, &weights, &energies, &errors, &residuals, &e](
-                        int pixel, Floats exponent, Ints covered) {
-               if (tile.opaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
-               const Floats alpha = covered ? min(falloffOf(exponent), all(kMaxAlpha)) : Floats{};
-               const Floats transmittance = load(pixels.transmittance + pixel);
-               const Floats weight = transmittance * alpha;
-               store(pixels.transmittance + pixel, transmittance - weight);
-               weights += weight;
-               energies = fma(weight, weight, energies);
-               if (tile.residual) {
-                 residuals = fma(weight, load(tile.residual + pixel), residuals);
-               }
-               // Without the splat, the colour behind would be 1 / (1 - alpha) times as strong.
-               const Floats uncovers = alpha / (1.0f - alpha);
-               for (int i = 0; i < 3; ++i) {
-                 float* const channel = pixels.colour[i] + pixel;
-                 const Floats behind = fma(-weight, colour[i], load(channel));
-                 store(channel, behind);
-                 const Floats change = fma(weight, colour[i], -uncovers * behind);
-                 errors = fma(change, change, errors);
-               }
-             };
-           });
+      walk<kConic>(tile, pixels.transmittance, nullptr, tile.ends_at, [&](const Record& e) {
+        finish();
+        ++next;
+        const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
+        return [=, &pixels, &tile, &weights, &energies, &errors, &residuals, &e](
+                   int pixel, Floats exponent, Ints covered, Floats) {
+          if (tile.opaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
+          const Floats alpha = covered ? min(falloffOf(exponent), all(kMaxAlpha)) : Floats{};
+          const Floats transmittance = load(pixels.transmittance + pixel);
+          const Floats weight = transmittance * alpha;
+          store(pixels.transmittance + pixel, transmittance - weight);
+          weights += weight;
+          energies = fma(weight, weight, energies);
+          if (tile.residual) {
+            residuals = fma(weight, load(tile.residual + pixel), residuals);
+          }
+          // Without the splat, the colour behind would be 1 / (1 - alpha) times as strong.
+          const Floats uncovers = alpha / (1.0f - alpha);
+          for (int i = 0; i < 3; ++i) {
+            float* const channel = pixels.colour[i] + pixel;
+            const Floats behind = fma(-weight, colour[i], load(channel));
+            store(channel, behind);
+            const Floats change = fma(weight, colour[i], -uncovers * behind);
+            errors = fma(change, change, errors);
+          }
+        };
+      });
   finish();
   for (; next < tile.splats + tile.count; ++next) *next = {};
   return has_ended;
+}
+
+bool contribute(const ContributeTile& tile) {
+  return tile.shapes ? contributeAs<true>(tile) : contributeAs<false>(tile);
 }
 
 // Plain loops over a row of kTile pixels, which compilers vectorise.

@@ -65,7 +65,8 @@ struct ProjectView {
   ChannelKind channel_colours;
   DrawMode mode;
   int sh_degree, only_band;
-  bool orthographic, antialiased;
+  bool orthographic;
+  Model model;
   CutView cut;
 };
 
@@ -91,6 +92,17 @@ struct alignas(64) Record {
   float share;  // share in a Cut, drawn with opacity 1 - (1 - alpha)^share; or a ball's, below 0
 };
 static_assert(sizeof(Record) == 64);
+
+// What makes a record a conic (views/conic.hpp), in a picture that shows any: of an EWA splat it is
+// kFlatShape. The response is that of the nearer one of ray and spot.
+struct alignas(32) RayShape {
+  float tilt_x, tilt_y;  // [1/px]
+  float nearness;
+  float spot_x, spot_y;  // [px]
+  float spot;            // log2 of the spot's alpha, at kSquarings [1/px^2]
+};
+static_assert(sizeof(RayShape) == 32);
+constexpr float kNoSpot = 1e20f;  // as RayShape::spot: only the pixel at its very middle sees it
 
 // Values of Record::share for solid balls, which are blended differently.
 constexpr float kFlatBallShare = -1, kGaussianBallShare = -2;
@@ -128,8 +140,9 @@ struct ListedTile {
   const Listed* listed;  // nearest first
   std::size_t count;
   const Record* records;
-  int left, top;        // [px]
-  const float* opaque;  // window depths of opaque objects, which hide splats behind; or null
+  const RayShape* shapes;  // one for each record; null: all are flat
+  int left, top;           // [px]
+  const float* opaque;     // window depths of opaque objects, which hide splats behind; or null
 };
 
 struct BlendTile : ListedTile {
@@ -181,10 +194,11 @@ struct Kernels {
                       const PageSlots& page, std::uint16_t* places, std::uint16_t* numbers,
                       std::size_t count);
   // Projects the slots at some places of a page; returns how many are in the picture. kept: output,
-  // the index in places of each of these. places must have room to read kMostLanes more.
+  // the index in places of each of these. places must have room to read kMostLanes more. shapes:
+  // output, one for each record; or null, if the model is EWA.
   std::size_t (*project)(const ProjectView& view, const PageSlots& page,
                          const std::uint16_t* places, std::size_t count, Record* records,
-                         Footprint* footprints, std::uint16_t* kept);
+                         RayShape* shapes, Footprint* footprints, std::uint16_t* kept);
   // Blends the list until nothing behind can be seen; returns whether that is so at the end.
   bool (*blend)(const BlendTile& tile, PictureDepth depth);
   bool (*pick)(const PickTile& tile);

@@ -29,6 +29,7 @@ ListedTile CpuRasterizer::Work::listedTile(const PictureRequest& request, const 
   return {listed.get() + begins[tile],
           inTile(tile),
           records.get(),
+          conics ? shapes.get() : nullptr,
           rect.left,
           rect.top,
           depthsOf(request.scene_depth, rect, member.opaque)};

@@ -68,9 +68,7 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, double now, SeenLay
   p.sh_degree = std::min(layer.slots->shDegree(), settings.max_sh_degree);
   p.only_band = settings.only_band;
   p.orthographic = camera.orthographic;
-  p.antialiased = settings.antialiasing == Antialiasing::kAsTrained
-                      ? layer.map->antialiased
-                      : settings.antialiasing == Antialiasing::kOn;
+  p.model = settings.drawnModel(layer.map->model);
 }
 
 void CpuRasterizer::Work::setOrder(const HostSlots& slots, const ArrayView<std::uint32_t>& order) {

@@ -198,6 +198,8 @@ struct CpuRasterizer::Work {
   int levels = 0;
   bool hides = false;  // some tile isn't kOpen
   ScratchBuffer<Record> records;
+  ScratchBuffer<RayShape> shapes;     // by record, in a picture of conics
+  bool conics = false;                // some layer's model isn't EWA
   ScratchBuffer<std::uint32_t> keys;  // by record
   ScratchBuffer<Listed> listed;
   std::vector<std::size_t> begins;  // where each tile's part of `listed` begins, and the end

@@ -306,12 +306,16 @@ Refit::Refit(const SplatsView& start, std::shared_ptr<ThreadTeam> team,
              CpuRasterizer::Instructions instructions)
     : team_(std::move(team)),
       sh_degree_(start.arrays.sh_degree),
-      antialiased_(start.antialiased),
+      antialiased_(start.model == Model::kEwaAntialiased),
       origin_(start.origin),
       count_(start.arrays.count),
       values_(kHarmonics + start.arrays.shStride()),
       work_(std::make_unique<Work>()) {
   start.check();
+  if (!isEwa(start.model)) {
+    throw std::invalid_argument("model: a refit draws by EWA, these splats are of model " +
+                                nameOf(start.model));
+  }
   const SplatArrays<const float>& from = start.arrays;
   now_.resize(values_ * count_);
   mean_.resize(now_.size());
@@ -476,7 +480,7 @@ double Refit::step(const SplatCamera& camera, const float* target, const RefitRa
 Splats Refit::splats() const {
   Splats splats;
   splats.origin = origin_;
-  splats.antialiased = antialiased_;
+  splats.model = antialiased_ ? Model::kEwaAntialiased : Model::kEwa;
   const auto add = [](std::vector<float>& to, const float* from, std::size_t count) {
     to.insert(to.end(), from, from + count);
   };

@@ -90,7 +90,7 @@ SplatsView Splats::view() const {
   view.arrays = {
       n, degree, positions.data(), orientations.data(), scales.data(), opacities.data(), sh.data()};
   view.origin = origin;
-  view.antialiased = antialiased;
+  view.model = model;
   for (const auto& [name, values] : channels) {
     checkLength("channels '" + name + "'", values.size(), 1, n);
     view.channels.emplace_back(name, values.data());

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "rosplat_core/slots/constants.hpp"
+#include "rosplat_core/slots/model.hpp"
 
 namespace rosplat {
 
@@ -14,7 +14,7 @@ namespace {
 constexpr double kCoarseStep = 1.0 / 8;  // between two floats [standard deviations]
 // Half of 100 degrees: EWA is 27 dB from exact rays ("Wide fields of view").
 constexpr double kWideTangent = 1.1918;
-// 15 to 21 dB, but 33 dB with Antialiasing ("Zoomed out").
+// 15 to 21 dB, but 33 dB with EWA Antialiased ("Zoomed out").
 constexpr double kSmall = 0.5;   // standard deviation of a splat [px]
 constexpr double kShaken = 0.5;  // rounding error of the viewer's own coordinates [px]
 
@@ -89,21 +89,20 @@ std::vector<std::string> hardRegimes(const MapState& map, const MapSample& sampl
       })) {
     found.emplace_back("most splats are fainter than 1/255, which isn't drawn");
   }
-  const bool compensated = settings.antialiasing == Antialiasing::kAsTrained
-                               ? map.antialiased
-                               : settings.antialiasing == Antialiasing::kOn;
+  const Model model = settings.drawnModel(map.model);
   bool wide = false, small = false, shaken = false;
   for (const SplatCamera& camera : cameras) {
     const Seen seen = middleOf(camera, groups, splats);
-    wide = wide || isWide(camera);
-    small = small || (!compensated && seen.pixels > 0 && settings.scale * seen.pixels < kSmall);
+    wide = wide || (isEwa(model) && isWide(camera));
+    small =
+        small || (model == Model::kEwa && seen.pixels > 0 && settings.scale * seen.pixels < kSmall);
     shaken = shaken || seen.scale * camera.rounding > kShaken;
   }
   if (wide) found.emplace_back("beyond 100 degrees of view, large splats lose their shape");
   if (small) {
     found.emplace_back(
-        "most splats in view are smaller than a pixel, which makes them fat: set Antialiasing to "
-        "On, or come nearer");
+        "most splats in view are smaller than a pixel, which makes them fat: set Model to EWA "
+        "Antialiased, or come nearer");
   }
   if (shaken) {
     found.emplace_back(

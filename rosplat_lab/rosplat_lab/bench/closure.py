@@ -79,7 +79,7 @@ def _insert(renderer: Renderer, splats: Splats) -> int:
     """Inserts a map of submaps, each of neighbours in space; returns its revision."""
     revision, first = 1, 0
     renderer.apply(
-        maps.REPLACE, 0, 0, _NO_SLOTS, 0, splats.antialiased, (0.0, 0.0, 0.0),
+        maps.REPLACE, 0, 0, _NO_SLOTS, 0, splats.model, (0.0, 0.0, 0.0),
         *[_NO_FLOATS] * 5, rendering.MAP, revision, len(splats),
     )  # fmt: skip
     for group in range(SUBMAPS):
@@ -87,7 +87,7 @@ def _insert(renderer: Renderer, splats: Splats) -> int:
         revision += 1
         renderer.apply(
             maps.UPSERT, first, part.stop - part.start, _NO_SLOTS, splats.sh_degree,
-            splats.antialiased, tuple(splats.origin.tolist()), splats.positions[part].ravel(),
+            splats.model, tuple(splats.origin.tolist()), splats.positions[part].ravel(),
             splats.orientations[part].ravel(), splats.scales[part].ravel(),
             splats.opacities[part], splats.sh[part].ravel(), rendering.MAP, revision, len(splats),
             group=group,

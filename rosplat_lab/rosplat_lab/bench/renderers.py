@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera
+from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 from rosplat_lab.bench import embedded
 
@@ -161,7 +162,7 @@ class GsplatRenderer:
 
     def show(self, splats: Splats) -> None:
         self._origin = splats.origin
-        self._antialiased = splats.antialiased
+        self._antialiased = splats.model is Model.EWA_ANTIALIASED
         self._take(
             self._put(splats.positions),
             self._put(np.roll(splats.orientations, 1, axis=1)),  # w first

@@ -49,11 +49,16 @@ def _projected(splats: Splats, camera: Camera) -> Projected:
     base = np.rint(255 * np.clip(harmonics.C0 * splats.sh[:, 0].astype(np.float64) + 0.5, 0, 1))
     basis = harmonics.basis(rotation[2:], splats.sh_degree)[0, 1:]
     above = np.einsum("k,nkc->nc", basis, splats.sh[:, 1:].astype(np.float64))
+    extents = np.sqrt(2 * np.log(1 / 0.05) * np.maximum(0, np.column_stack([xx, yy])))
     return Projected(
         slots=kept,
         centers=centers[kept],
         conics=np.column_stack([yy, -xy, xx]) / np.where(solid, determinant, 1)[:, None],
-        extents=np.sqrt(2 * np.log(1 / 0.05) * np.maximum(0, np.column_stack([xx, yy]))),
+        tilts=np.zeros((len(kept), 2)),
+        nearness=np.zeros(len(kept)),
+        spots=np.full((len(kept), 2), np.nan),
+        low=centers[kept] - extents,
+        high=centers[kept] + extents,
         opacities=opacities,
         colors=np.clip(base / 255 + above, 0, 1),
         depths=means[:, 2],

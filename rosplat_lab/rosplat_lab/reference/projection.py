@@ -1,4 +1,8 @@
-"""EWA projection of 3D Gaussians to the picture (Zwicker et al. 2001, Kerbl et al. 2023)."""
+"""Projection of 3D Gaussians to the picture by each of the models.
+
+EWA: Zwicker et al. 2001, Kerbl et al. 2023; rays: Wu et al. 2025 (3DGUT); discs: Huang et al. 2024
+(2DGS). conics.py has what the latter two share.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +13,15 @@ from numpy.typing import NDArray
 
 from rosplat_core import harmonics
 from rosplat_core.cameras import Camera
+from rosplat_core.models import Model
 from rosplat_core.quaternions import to_matrices
 from rosplat_core.splats import LOW_PASS, Splats
+from rosplat_lab.reference.conics import SPOT, Conics
 
 Array = NDArray[np.float64]
 
 MIN_ALPHA = 1 / 255  # what is fainter is not drawn
+MAX_ALPHA = 0.999  # a splat's, as in gsplat; INRIA's is 0.99
 GUARD_BAND = 0.3  # of tan(fov / 2) beyond the picture, where the Jacobian stops growing
 
 
@@ -28,8 +35,14 @@ class Projected:
     """(m, 2) x, y in the picture. [px]"""
     conics: Array
     """(m, 3) xx, xy, yy of the inverse 2D covariance. [1/px^2]"""
-    extents: Array
-    """(m, 2) half size of the box outside of which alpha is below MIN_ALPHA. [px]"""
+    tilts: Array
+    """(m, 2) and nearness (m,): as in Conics; 0 of EWA. [1/px]"""
+    nearness: Array
+    spots: Array
+    """(m, 2) x, y of discs' spots; NaN of others. [px]"""
+    low: Array
+    """(m, 2) and high (m, 2): the box outside of which alpha is below MIN_ALPHA. [px]"""
+    high: Array
     opacities: Array
     """(m,) peak opacities."""
     colors: Array
@@ -56,21 +69,31 @@ def project(splats: Splats, camera: Camera, shares: Array | None = None) -> Proj
     seen, world = splats[slots], world[slots]
     means = world @ rotation.T + translation
 
-    covariance = _covariances_2d(seen, means, camera)
-    sharp = np.linalg.det(covariance)
-    covariance[:, [0, 1], [0, 1]] += LOW_PASS
-    determinant = np.linalg.det(covariance)
     opacities = seen.opacities.astype(np.float64)
-    if splats.antialiased:  # what the filter spreads out, it must not add (Mip-Splatting)
-        opacities *= np.sqrt(np.maximum(0, sharp / determinant))
+    ewa = splats.model in (Model.EWA, Model.EWA_ANTIALIASED)
+    conics = Conics.of(_rows(seen, means, camera, clamped=ewa))
+    if ewa:
+        sharp = np.linalg.det(conics.covariances)
+        filtered = conics.covariances + LOW_PASS * np.eye(2)
+        conics = _flat(filtered)
+        if splats.model is Model.EWA_ANTIALIASED:  # what the filter spreads out, it must not add
+            opacities *= np.sqrt(np.maximum(0, sharp / np.linalg.det(filtered)))
+    determinant = np.linalg.det(conics.covariances)
+    xx, xy, yy = (conics.covariances[:, i, k] for i, k in ((0, 0), (0, 1), (1, 1)))
+    if not ewa:
+        determinant = np.maximum(determinant, 1e-30)
 
-    xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-    sigmas = np.sqrt(2 * np.log(np.maximum(1, opacities / MIN_ALPHA)))
-    extents = sigmas[:, None] * np.sqrt(np.column_stack([xx, yy]))
+    cut2 = 2 * np.log(np.maximum(1, opacities / MIN_ALPHA))
     scale = 1.0 if camera.orthographic else means[:, 2:]
     centers = means[:, :2] / scale * (camera.fx, camera.fy) + (camera.cx, camera.cy)
-    inside = (centers + extents > 0).all(axis=1)
-    inside &= (centers - extents < (camera.width, camera.height)).all(axis=1)
+    middles, halves = conics.outlines(cut2)
+    low, high = centers + middles - halves, centers + middles + halves
+    spots = np.full_like(centers, np.nan)
+    if splats.model is Model.DISC:
+        spots = centers + conics.spots()
+        reach = np.sqrt(cut2 / SPOT)[:, None]
+        low, high = np.minimum(low, spots - reach), np.maximum(high, spots + reach)
+    inside = (high > 0).all(axis=1) & (low < (camera.width, camera.height)).all(axis=1)
     inside &= (opacities >= MIN_ALPHA) & (determinant > 0)
 
     if camera.orthographic:  # all rays are parallel
@@ -82,7 +105,11 @@ def project(splats: Splats, camera: Camera, shares: Array | None = None) -> Proj
         slots=slots[inside],
         centers=centers[inside],
         conics=(np.column_stack([yy, -xy, xx]) / determinant[:, None])[inside],
-        extents=extents[inside],
+        tilts=conics.tilts[inside],
+        nearness=conics.nearness[inside],
+        spots=spots[inside],
+        low=low[inside],
+        high=high[inside],
         opacities=opacities[inside],
         colors=harmonics.colors(seen.sh[inside].astype(np.float64), directions[inside]),
         depths=means[inside, 2],
@@ -90,17 +117,32 @@ def project(splats: Splats, camera: Camera, shares: Array | None = None) -> Proj
     )
 
 
-def _covariances_2d(splats: Splats, means: Array, camera: Camera) -> Array:
-    """(n, 2, 2) covariances in the picture, J W R S S^T R^T W^T J^T. [px^2]"""
+def _flat(covariances: Array) -> Conics:
+    """Ellipses in the picture (n, 2, 2) [px^2] as conics."""
+    n = len(covariances)
+    return Conics(covariances, np.zeros((n, 2)), np.zeros(n), np.zeros((n, 2)), np.zeros(n))
+
+
+def _rows(splats: Splats, means: Array, camera: Camera, *, clamped: bool) -> Array:
+    """(n, 3, 3) the rows right, down [px] and ahead of views/conic.hpp.
+
+    clamped: with tangents that stop growing beyond the picture, as EWA is trained.
+    """
     axes = to_matrices(splats.orientations)
-    axes *= splats.scales.astype(np.float64)[:, None, :]
-    half = jacobians(means, camera) @ camera.world_to_camera[:3, :3] @ axes
-    product: Array = half @ half.transpose(0, 2, 1)
-    return product
+    scales = splats.scales.astype(np.float64)
+    if splats.model is Model.DISC:
+        scales = scales * (1, 1, 0)
+    axes = camera.world_to_camera[:3, :3] @ (axes * scales[:, None, :])
+    flat = jacobians(means, camera, GUARD_BAND if clamped else np.inf) @ axes
+    ahead = np.zeros_like(axes[:, 2:]) if camera.orthographic else axes[:, 2:] / means[:, 2:, None]
+    return np.concatenate([flat, ahead], axis=1)
 
 
-def jacobians(means: Array, camera: Camera) -> Array:
-    """(n, 2, 3) derivatives of the picture's x, y [px] by the mean (n, 3) in the camera [m]."""
+def jacobians(means: Array, camera: Camera, guard_band: float = GUARD_BAND) -> Array:
+    """(n, 2, 3) derivatives of the picture's x, y [px] by the mean (n, 3) in the camera [m].
+
+    Tangents are clamped a guard band [tan(fov / 2)] beyond the picture.
+    """
     jacobians = np.zeros((len(means), 2, 3))
     if camera.orthographic:
         jacobians[:, 0, 0], jacobians[:, 1, 1] = camera.fx, camera.fy
@@ -109,7 +151,7 @@ def jacobians(means: Array, camera: Camera) -> Array:
     for axis, (focal, center, size) in enumerate(
         [(camera.fx, camera.cx, camera.width), (camera.fy, camera.cy, camera.height)]
     ):
-        guard = GUARD_BAND * 0.5 * size / focal
+        guard = guard_band * 0.5 * size / focal
         tangent = np.clip(
             means[:, axis] / z, -center / focal - guard, (size - center) / focal + guard
         )

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
 from rosplat_core.splats import Splats
-from rosplat_lab.reference.projection import MIN_ALPHA, Array, Projected, project
+from rosplat_lab.reference.conics import SPOT
+from rosplat_lab.reference.projection import MAX_ALPHA, MIN_ALPHA, Array, Projected, project
 
 TILE = 16  # [px]
 CHUNK = 512  # splats blended at once: a tile's arrays then stay in the cache
@@ -35,7 +36,7 @@ def render(
     crop: tuple[int, int, int, int] | None = None,
     order: NDArray[np.integer] | None = None,
     shares: Array | None = None,
-    max_alpha: float = 0.99,
+    max_alpha: float = MAX_ALPHA,
     min_transmittance: float = 0.0,
 ) -> Picture:
     """Draws splats in float64.
@@ -43,9 +44,9 @@ def render(
     crop is left, top, right, bottom [px] of the part to draw; the camera stays what it is. order
     are slots back to front, as in SplatOrder, instead of the exact order by z; slots that it leaves
     out are not drawn. shares: (n,) how much of each splat is drawn, as of levels of detail; all, if
-    not given. max_alpha caps a splat's alpha: INRIA 0.99, gsplat 0.999. A pixel is finished
-    by the splat that would take its transmittance to min_transmittance or below (INRIA and gsplat:
-    1e-4); 0 blends everything. Raises ValueError for a crop outside the picture.
+    not given. max_alpha caps a splat's alpha. A pixel is finished by the splat that would take its
+    transmittance to min_transmittance or below (INRIA and gsplat: 1e-4); 0 blends everything.
+    Raises ValueError for a crop outside the picture.
     """
     left, top, right, bottom = crop or (0, 0, camera.width, camera.height)
     if not (0 <= left < right <= camera.width and 0 <= top < bottom <= camera.height):
@@ -63,7 +64,7 @@ def blended(
     crop: tuple[int, int, int, int],
     *,
     min_alpha: float = MIN_ALPHA,
-    max_alpha: float = 0.99,
+    max_alpha: float = MAX_ALPHA,
     min_transmittance: float = 0.0,
 ) -> Picture:
     """The crop of a picture of projected splats, nearest first. Alpha below min_alpha is not
@@ -139,7 +140,7 @@ def _contributed(
     for y, x, members in _tiles(projected, 0, 0, camera.width, camera.height):
         ys = np.arange(y, min(y + TILE, camera.height))
         xs = np.arange(x, min(x + TILE, camera.width))
-        for part, weights in _weights(projected[members], xs, ys, (MIN_ALPHA, 0.99), 0.0):
+        for part, weights, _ in _weights(projected[members], xs, ys, (MIN_ALPHA, MAX_ALPHA), 0.0):
             yield np.ix_(ys, xs), projected.slots[members[part]], weights
 
 
@@ -163,8 +164,8 @@ def _tiles(
     tiles = np.array([-(-(right - left) // TILE), -(-(bottom - top) // TILE)])
     corner = np.array([left, top])
     # Clipped first: a splat next to the camera may be larger than an integer holds.
-    first = np.floor(np.clip((projected.centers - projected.extents - corner) / TILE, 0, tiles))
-    last = np.floor(np.clip((projected.centers + projected.extents - corner) / TILE, -1, tiles - 1))
+    first = np.floor(np.clip((projected.low - corner) / TILE, 0, tiles))
+    last = np.floor(np.clip((projected.high - corner) / TILE, -1, tiles - 1))
     first, spans = first.astype(int), (last - first + 1).astype(int).clip(0)
     # One entry for each pair of splat and tile, numbered within the splat.
     pairs = spans.prod(axis=1)
@@ -189,15 +190,18 @@ def _blend(
     min_transmittance: float,
 ) -> tuple[Array, Array, Array]:
     """Blends splats, nearest first: (h, w, 4) premultiplied RGBA, (h, w) weights * z, median z."""
-    values = np.column_stack([splats.colors, np.ones(len(splats.slots)), splats.depths])
-    blended = np.zeros((len(ys), len(xs), 5))
+    values = np.column_stack([splats.colors, np.ones(len(splats.slots))])
+    blended = np.zeros((len(ys), len(xs), 4))
+    weighted_z = np.zeros((len(ys), len(xs)))
     median = np.full((len(ys), len(xs)), np.nan)
-    for part, weights in _weights(splats, xs, ys, alphas, min_transmittance):
+    for part, weights, depths in _weights(splats, xs, ys, alphas, min_transmittance):
         half = blended[..., 3] + np.cumsum(weights, axis=0) >= 0.5
         crossed = np.isnan(median) & half.any(axis=0)
-        median[crossed] = splats.depths[part][half.argmax(axis=0)][crossed]
+        first = np.take_along_axis(depths, half.argmax(axis=0)[None], axis=0)[0]
+        median[crossed] = first[crossed]
         blended += np.tensordot(weights, values[part], axes=(0, 0))
-    return blended[..., :4], blended[..., 4], median
+        weighted_z += (weights * depths).sum(axis=0)
+    return blended, weighted_z, median
 
 
 def _weights(
@@ -206,8 +210,9 @@ def _weights(
     ys: NDArray[np.intp],
     alphas: tuple[float, float],
     min_transmittance: float,
-) -> Iterator[tuple[slice, Array]]:
-    """Yields parts of the splats, nearest first, and (n, h, w) what each adds to each pixel.
+) -> Iterator[tuple[slice, Array, Array]]:
+    """Yields parts of the splats, nearest first, and (n, h, w) what each adds to each pixel, and
+    at what depth [m].
 
     alphas: the least alpha that is drawn, and the most that a splat has.
     """
@@ -215,16 +220,35 @@ def _weights(
     transmittance = np.ones((len(ys), len(xs)))
     for start in range(0, len(splats.slots), CHUNK):
         part = slice(start, start + CHUNK)
-        dx = (xs + 0.5 - splats.centers[part, :1])[:, None, :]
-        dy = (ys + 0.5 - splats.centers[part, 1:])[:, :, None]
-        xx, xy, yy = splats.conics[part].T[..., None, None]
-        exponent = -0.5 * (xx * dx**2 + yy * dy**2) - xy * dx * dy
-        alpha = np.minimum(max_alpha, splats.opacities[part, None, None] * np.exp(exponent))
-        alpha[alpha < min_alpha] = 0
+        distances, depths = _along_rays(splats, part, xs, ys)
+        peaks = splats.opacities[part, None, None]
+        alpha = np.minimum(max_alpha, peaks * np.exp(-0.5 * distances))
+        alpha[~(alpha >= min_alpha)] = 0
         alpha = 1 - (1 - alpha) ** splats.shares[part, None, None]
         after = transmittance * np.cumprod(1 - alpha, axis=0)
         before = np.concatenate([transmittance[None], after[:-1]])
-        yield part, np.where(after > min_transmittance, alpha * before, 0)
+        yield part, np.where(after > min_transmittance, alpha * before, 0), depths
         transmittance = after[-1]
         if transmittance.max() <= min_transmittance:
             break
+
+
+def _along_rays(
+    splats: Projected, part: slice, xs: NDArray[np.intp], ys: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """(n, h, w) squared distances of pixels' rays from some splats' means, in standard deviations,
+    and the depths where rays are nearest to them [m]; views/conic.hpp has the formulae."""
+    dx = (xs + 0.5 - splats.centers[part, :1])[:, None, :]
+    dy = (ys + 0.5 - splats.centers[part, 1:])[:, :, None]
+    xx, xy, yy = splats.conics[part].T[..., None, None]
+    tilt_x, tilt_y = splats.tilts[part].T[..., None, None]
+    depths = splats.depths[part, None, None]
+    flat = xx * dx**2 + 2 * xy * dx * dy + yy * dy**2
+    along = 1 + tilt_x * dx + tilt_y * dy
+    scale = np.maximum(along**2 + splats.nearness[part, None, None] * flat, 1e-30)
+    spots = splats.spots[part, :, None, None]  # NaN, and so never less, where there is none
+    spot = SPOT * ((xs + 0.5 - spots[:, 0]) ** 2 + (ys[:, None] + 0.5 - spots[:, 1]) ** 2)
+    is_spot = spot < flat / scale
+    # A ray that comes nearest to a splat behind the camera meets it at the camera.
+    seen = np.maximum(depths * along / scale, 0)
+    return np.where(is_spot, spot, flat / scale), np.where(is_spot, depths, seen)

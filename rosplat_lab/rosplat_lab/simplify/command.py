@@ -22,6 +22,7 @@ from functools import cached_property
 from pathlib import Path
 
 from rosplat_core.formats import SUFFIXES, check_output, load, save
+from rosplat_core.models import Model
 from rosplat_core.program.files import write_text
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched, watched_tasks
@@ -161,6 +162,8 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
     with watched("reading") as progress:
         splats = load_scene(options.input, progress, _warn)
         put_in_slot_order(splats)
+    if options.refine > 0 and splats.model not in (Model.EWA, Model.EWA_ANTIALIASED):
+        raise SceneError(f"--refine: only EWA can be refitted; {options.input} is {splats.model}")
     try:
         whereabouts(splats)
     except SceneError as error:

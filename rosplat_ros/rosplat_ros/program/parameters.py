@@ -10,6 +10,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 
 from rosplat_core.log_text import shown
+from rosplat_core.models import Model
 from rosplat_core.splats import SceneError
 from rosplat_ros.messages import COMPRESSIONS, NONE
 
@@ -57,6 +58,16 @@ def declare_compression(node: Node) -> str:
     if compression not in COMPRESSIONS:
         raise SceneError(f"compression: expected one of {known}, got '{shown(compression)}'")
     return compression
+
+
+def declare_model(node: Node) -> Model | None:
+    """Declares `model`, None for the scene's own. Raises SceneError for one that is not known."""
+    known = ", ".join(map(str, Model))
+    description = f"How splats become pixels: {known}; empty: as the scene says, or ewa."
+    name: str = declare(node, "model", "", description)
+    if name not in ("", *map(str, Model)):
+        raise SceneError(f"model: expected one of {known}, got '{shown(name)}'")
+    return Model.of(name) if name else None
 
 
 def declare_clip(node: Node) -> tuple[float, float]:

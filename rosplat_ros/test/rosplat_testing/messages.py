@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from std_msgs.msg import Header
 
 from rosplat_core import _core, channels, payload
+from rosplat_core.models import Model
 from rosplat_core.payload import Arrays, PayloadError
 from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import Splats
@@ -51,7 +52,7 @@ def encode(
     message = _batch(slots, header, map_id, revision, operation, expected_slots)
     message.group = group
     message.sh_degree = splats.sh_degree
-    message.antialiased = splats.antialiased
+    message.model = splats.model
     message.origin.x, message.origin.y, message.origin.z = splats.origin.tolist()
     message.channel_names = list(splats.channels)
     for values in splats.channels.values():
@@ -120,7 +121,7 @@ def decode(message: GaussianArray) -> tuple[Slots, Splats]:
     return slots, Splats(
         **vars(arrays),
         origin=np.array([origin.x, origin.y, origin.z]),
-        antialiased=message.antialiased,
+        model=Model(message.model),
         channels=dict(zip(message.channel_names, channels, strict=True)),
     )
 
@@ -163,6 +164,8 @@ def check(message: GaussianArray) -> None:
         raise EditError(f"group is {message.group}, a map has at most {MAX_GROUPS} groups")
     if message.sh_degree > MAX_SH_DEGREE:
         raise EditError(f"sh_degree is {message.sh_degree}, at most {MAX_SH_DEGREE} is known")
+    if message.model not in list(Model):
+        raise EditError(f"model is {message.model}, known are 0 to {max(Model)}")
     origin = message.origin
     if not np.isfinite([origin.x, origin.y, origin.z]).all():
         raise EditError("origin is not finite")

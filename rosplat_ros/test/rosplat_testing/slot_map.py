@@ -60,13 +60,13 @@ class SlotMap:
     def write(self, slots: Slots, splats: Splats, group: int = 0) -> int:
         """Puts the i-th splat into the i-th slot, in use or not; returns how many are left out.
 
-        Raises ValueError where the splats are antialiased and the map is not, or the reverse, where
+        Raises ValueError where the splats' model is not the map's, where
         a page holds splats of another group, and for more channels than a map has.
         """
         if not len(slots):
             return 0
-        if self._count and splats.antialiased != self._arrays.antialiased:
-            raise ValueError("can't mix antialiased splats with others: they are drawn differently")
+        if self._count and splats.model != self._arrays.model:
+            raise ValueError("can't mix splats of different models: they are drawn differently")
         slots = np.asarray(slots, np.int64)
         self._check_pages(slots, group)
         channels = joined(tuple(self._arrays.channels), tuple(splats.channels))
@@ -74,7 +74,7 @@ class SlotMap:
         self._arrays = mine = replace(
             self._arrays,
             channels={name: self._arrays.channel(name) for name in channels},
-            antialiased=splats.antialiased,
+            model=splats.model,
         )
         rows = self._rows(slots)
         positions, shift = (

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
 
+from rosplat_core.models import Model
 from rosplat_core.rendering import Contributions, posed
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
@@ -90,9 +91,7 @@ class ResidualMap:
         errors, weights = grown(self._sums, capacity)[:, slots]
         with np.errstate(all="ignore"):
             values = np.where(weights >= LEAST_WEIGHT, errors / weights, np.float32(np.nan))
-        splats = Splats(
-            **drawn, antialiased=self._map.books.antialiased, channels={CHANNEL: values}
-        )
+        splats = Splats(**drawn, model=Model(self._map.books.model), channels={CHANNEL: values})
         self._publisher.frame_id = self._map.frame_id
         if self._slots is None:
             self._publisher.replace(replace(splats[:0], channels={}), expected_slots=len(slots))

@@ -68,9 +68,7 @@ class WholeMaps:
         self, before: _Shown, splats: Splats, ids: NDArray[np.int64], rows: NDArray[np.intp]
     ) -> int | None:
         """Sends the splats that differ; returns how many, or None if that can't be or most do."""
-        if splats.antialiased != before.splats.antialiased or np.any(
-            splats.origin != before.splats.origin
-        ):
+        if splats.model != before.splats.model or np.any(splats.origin != before.splats.origin):
             return None
         _, old, same = np.intersect1d(before.ids, ids, assume_unique=True, return_indices=True)
         differs = np.ones(len(ids), bool)

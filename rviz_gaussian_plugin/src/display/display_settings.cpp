@@ -9,9 +9,11 @@
 #include <rviz_common/properties/float_property.hpp>
 #include <rviz_common/properties/vector_property.hpp>
 #include <stdexcept>
+#include <string>
 #include <utility>
 
 #include "rosplat_core/levels/detail.hpp"
+#include "rosplat_core/slots/model.hpp"
 
 namespace rosplat {
 
@@ -19,12 +21,15 @@ namespace {
 
 using namespace rviz_common::properties;
 
+constexpr int kAsPublished = -1;
+
 template <typename Value>
 EnumProperty* choice(const char* name, const char* preset, const char* description,
                      Property* parent,
-                     std::initializer_list<std::pair<const char*, Value>> options) {
+                     std::initializer_list<std::pair<std::string, Value>> options) {
   auto* property = new EnumProperty(name, preset, description, parent);
-  for (const auto& [text, value] : options) property->addOption(text, static_cast<int>(value));
+  for (const auto& [text, value] : options)
+    property->addOption(QString::fromStdString(text), static_cast<int>(value));
   return property;
 }
 
@@ -113,14 +118,17 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
                               "Show the time of each stage of a frame in the Status. Frames then "
                               "wait for the graphics card.",
                               rasterizer_);
-  antialiasing_ = choice<Antialiasing>(
-      "Antialiasing", "As Trained",
-      "Opacity compensation for the low-pass filter, for models that were trained with it "
-      "(Mip-Splatting).",
-      display,
-      {{"As Trained", Antialiasing::kAsTrained},
-       {"On", Antialiasing::kOn},
-       {"Off", Antialiasing::kOff}});
+  model_ =
+      choice<int>("Model", "As Published",
+                  "How splats become pixels. EWA: flattened onto the picture. EWA Antialiased: "
+                  "and small ones fainter (Mip-Splatting). Ray: evaluated along each pixel's "
+                  "ray (3DGUT). Disc: flat, where each ray meets them (2DGS).",
+                  display,
+                  {{"As Published", kAsPublished},
+                   {nameOf(Model::kEwa), int(Model::kEwa)},
+                   {nameOf(Model::kEwaAntialiased), int(Model::kEwaAntialiased)},
+                   {nameOf(Model::kRay), int(Model::kRay)},
+                   {nameOf(Model::kDisc), int(Model::kDisc)}});
   float_blending_ = new BoolProperty(
       "Float Blending", false,
       "Keep pictures in 32-bit instead of 16-bit floats. Tiles blend in 32 bits either way; the "
@@ -142,18 +150,18 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
     on_change();
   };
   for (Property* property :
-       {static_cast<Property*>(mode_),         static_cast<Property*>(detail_),
-        static_cast<Property*>(auto_range_),   static_cast<Property*>(nearest_),
-        static_cast<Property*>(farthest_),     static_cast<Property*>(age_range_),
-        static_cast<Property*>(channel_),      static_cast<Property*>(channel_colours_),
-        static_cast<Property*>(auto_bounds_),  static_cast<Property*>(least_value_),
-        static_cast<Property*>(most_value_),   static_cast<Property*>(alpha_),
-        static_cast<Property*>(scale_),        static_cast<Property*>(sh_degree_),
-        static_cast<Property*>(sh_band_),      static_cast<Property*>(order_),
-        static_cast<Property*>(rasterizer_),   static_cast<Property*>(profile_),
-        static_cast<Property*>(antialiasing_), static_cast<Property*>(float_blending_),
-        static_cast<Property*>(near_fade_),    static_cast<Property*>(clip_),
-        static_cast<Property*>(clip_centre_),  static_cast<Property*>(clip_size_),
+       {static_cast<Property*>(mode_),        static_cast<Property*>(detail_),
+        static_cast<Property*>(auto_range_),  static_cast<Property*>(nearest_),
+        static_cast<Property*>(farthest_),    static_cast<Property*>(age_range_),
+        static_cast<Property*>(channel_),     static_cast<Property*>(channel_colours_),
+        static_cast<Property*>(auto_bounds_), static_cast<Property*>(least_value_),
+        static_cast<Property*>(most_value_),  static_cast<Property*>(alpha_),
+        static_cast<Property*>(scale_),       static_cast<Property*>(sh_degree_),
+        static_cast<Property*>(sh_band_),     static_cast<Property*>(order_),
+        static_cast<Property*>(rasterizer_),  static_cast<Property*>(profile_),
+        static_cast<Property*>(model_),       static_cast<Property*>(float_blending_),
+        static_cast<Property*>(near_fade_),   static_cast<Property*>(clip_),
+        static_cast<Property*>(clip_centre_), static_cast<Property*>(clip_size_),
         static_cast<Property*>(clip_handles_)}) {
     QObject::connect(property, &Property::changed, property, changed);
   }
@@ -235,7 +243,8 @@ RenderSettings DisplaySettings::get() const {
   settings.interactive = true;
   settings.rasterizer = static_cast<Rasterizer>(rasterizer_->getOptionInt());
   settings.profile = profile_->getBool();
-  settings.antialiasing = static_cast<Antialiasing>(antialiasing_->getOptionInt());
+  const int model = model_->getOptionInt();
+  if (model != kAsPublished) settings.model = modelOf(model);
   settings.float_blending = float_blending_->getBool();
   settings.near_fade = near_fade_->getFloat();
   settings.clip_box = {clip_->getBool(), array(clip_centre_), array(clip_size_)};

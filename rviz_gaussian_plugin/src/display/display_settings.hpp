@@ -56,7 +56,7 @@ class DisplaySettings {
   rviz_common::properties::FloatProperty* scale_;
   rviz_common::properties::FloatProperty* alpha_;
   rviz_common::properties::FloatProperty* near_fade_;
-  rviz_common::properties::EnumProperty* antialiasing_;
+  rviz_common::properties::EnumProperty* model_;
   rviz_common::properties::BoolProperty* float_blending_;
   rviz_common::properties::BoolProperty* clip_;
   rviz_common::properties::VectorProperty* clip_centre_;

@@ -108,7 +108,7 @@ StatusLine mapStatus(const MapState& map, const Backlog& backlog) {
   std::string text = concat(map.splats, " splats");
   if (map.expected > map.splats) text += concat(" of ", map.expected);
   if (map.groups > 1) text += concat(" in ", map.groups, " groups");
-  text += concat(", SH degree ", map.sh_degree, map.antialiased ? ", antialiased" : "");
+  text += concat(", SH degree ", map.sh_degree, ", Model ", nameOf(map.model));
   if (map.pulled) text += "; not all of it is pulled yet";
   if (map.missed > 0)
     text +=

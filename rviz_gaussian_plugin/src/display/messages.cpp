@@ -38,7 +38,7 @@ GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message) {
   batch.sh_degree = message.sh_degree;
   batch.format = message.format;
   batch.payload = message.payload;
-  batch.antialiased = message.antialiased;
+  batch.model = message.model;
   batch.origin = {message.origin.x, message.origin.y, message.origin.z};
   batch.positions = message.positions;
   batch.orientations = message.orientations;

@@ -49,7 +49,7 @@ struct GaussianBatch {
   std::uint8_t sh_degree = 0;
   std::string format;               // of the payload; empty: the arrays below hold the splats
   ArrayView<std::uint8_t> payload;  // the splats, if there is a format
-  bool antialiased = false;
+  std::uint8_t model = 0;           // a Model, if it is one
   std::array<double, 3> origin{};
   ArrayView<float> positions;     // 3 a splat [m]
   ArrayView<float> orientations;  // 4 a splat, x y z w

@@ -15,6 +15,7 @@
 #include "rosplat_core/map/gaussian_batch.hpp"
 #include "rosplat_core/map/groups.hpp"
 #include "rosplat_core/map/map_sample.hpp"
+#include "rosplat_core/slots/model.hpp"
 #include "rosplat_core/slots/packed_slot.hpp"
 #include "rosplat_core/slots/slot_set.hpp"
 
@@ -92,7 +93,7 @@ struct MapState {
   std::size_t groups = 0;      // that have had splats since the last clear
   int sh_degree = 0;
   std::vector<Channel> channels;  // that splats have come with since the last clear
-  bool antialiased = false;       // as the first splats since the last clear
+  Model model = Model::kEwa;      // as the first splats since the last clear
   bool pulled = false;            // only a part is there, more is on its way
   std::uint64_t missed = 0;       // batches, since the last clear or pull
   std::uint64_t dropped = 0;      // splats, since the last clear

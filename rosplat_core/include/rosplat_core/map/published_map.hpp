@@ -66,7 +66,7 @@ class PublishedMap {
     std::vector<std::uint8_t> payload;
     int sh_degree = 0;
     std::array<double, 3> origin{};
-    bool antialiased = false;
+    Model model = Model::kEwa;
     std::vector<std::string> channel_names;
     std::vector<float> channels;
   };

@@ -71,7 +71,7 @@ void defineApply(py::class_<Target, Bases...>& type, Take take) {
   type.def(
       "apply",
       [take](Target& target, std::uint8_t operation, std::uint32_t first_slot, std::uint32_t count,
-             const Array<std::uint32_t>& slots, std::uint8_t sh_degree, bool antialiased,
+             const Array<std::uint32_t>& slots, std::uint8_t sh_degree, std::uint8_t model,
              const std::array<double, 3>& origin, const Array<float>& positions,
              const Array<float>& orientations, const Array<float>& scales,
              const Array<float>& opacities, const Array<float>& sh, const std::string& map_id,
@@ -85,7 +85,7 @@ void defineApply(py::class_<Target, Bases...>& type, Take take) {
         batch.count = count;
         batch.slots = slots;
         batch.sh_degree = sh_degree;
-        batch.antialiased = antialiased;
+        batch.model = model;
         batch.origin = origin;
         batch.positions = positions;
         batch.orientations = orientations;
@@ -110,9 +110,9 @@ void defineApply(py::class_<Target, Bases...>& type, Take take) {
         }
         return py::dict("missed"_a = report.missed, "dropped"_a = report.dropped);
       },
-      "operation"_a, "first_slot"_a, "count"_a, "slots"_a, "sh_degree"_a, "antialiased"_a,
-      "origin"_a, "positions"_a, "orientations"_a, "scales"_a, "opacities"_a, "sh"_a, "map_id"_a,
-      "revision"_a, "expected_slots"_a = 0, "format"_a = "", "payload"_a = Array<std::uint8_t>(0),
+      "operation"_a, "first_slot"_a, "count"_a, "slots"_a, "sh_degree"_a, "model"_a, "origin"_a,
+      "positions"_a, "orientations"_a, "scales"_a, "opacities"_a, "sh"_a, "map_id"_a, "revision"_a,
+      "expected_slots"_a = 0, "format"_a = "", "payload"_a = Array<std::uint8_t>(0),
       "arrival"_a = Arrival::kHeard, "group"_a = 0, "groups"_a = Array<std::uint32_t>(0),
       "poses"_a = Array<double>(0), "channel_names"_a = std::vector<std::string>(),
       "channels"_a = Array<float>(0));

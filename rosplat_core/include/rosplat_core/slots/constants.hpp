@@ -20,6 +20,9 @@ enum class DrawMode {
   kChannel,       // colour-mapped values of a channel; grey where there are none
 };
 
+// How a map's splats become pixels, which is how it was trained: see GaussianArray.msg.
+enum class Model : std::uint8_t { kEwa, kEwaAntialiased, kRay, kDisc };
+
 // How values of a channel are coloured.
 enum ChannelKind { kNoColours, kGradient, kCategories };
 
@@ -37,7 +40,7 @@ constexpr float kTransparentInTiles = 1e-5f;
 // How far beyond the picture tangents are clamped [picture sizes]: 0.3 tan(fov / 2), as trained.
 constexpr double kTangentSlack = 0.15;
 constexpr float kMaxSigmas = 4.08f;       // where the most opaque node falls below the cutoff
-constexpr float kMaxAlpha = 0.99f;        // as in Kerbl et al. 2023; nothing is ever fully opaque
+constexpr float kMaxAlpha = 0.999f;       // as in gsplat; nothing is ever fully opaque
 constexpr float kBallEdge = 0.22f;        // share of the peak at a ball's edge: 1.74 sigma
 constexpr float kHalfLog2 = 0.84932180f;  // sqrt(log2(e) / 2): exp(-x^2 / 2) = exp2(-(k x)^2)
 // The largest opacity of a node. It may exceed 1, unlike a splat's; alpha is clamped in each pixel.

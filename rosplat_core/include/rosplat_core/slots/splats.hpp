@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "rosplat_core/slots/model.hpp"
 #include "rosplat_core/slots/splat_arrays.hpp"
 
 namespace rosplat {
@@ -16,8 +17,8 @@ struct SplatsView {
   SplatArrays<const float> arrays;
   // Packed slots, each with its further bands behind it (packed_slot.hpp), in place of the arrays.
   const std::uint32_t* rows = nullptr;
-  std::array<double, 3> origin{};  // added to each position [m]
-  bool antialiased = false;        // trained with opacity compensation (Mip-Splatting)
+  std::array<double, 3> origin{};                              // added to each position [m]
+  Model model = Model::kEwa;                                   // how they are drawn
   std::vector<std::pair<std::string, const float*>> channels;  // a value for each splat
 
   // Of the i-th splat, relative to the origin. [m]
@@ -38,7 +39,7 @@ struct Splats {
   // interleaved. colour = max(0, 0.5 + 0.28209479 c0 + ...)
   std::vector<float> sh;
   std::array<double, 3> origin{};  // added to each position [m]
-  bool antialiased = false;        // trained with opacity compensation (Mip-Splatting)
+  Model model = Model::kEwa;       // how they are drawn
   // Named values beside shape and colour, "label" say: n each, not finite where a splat has none.
   std::vector<std::pair<std::string, std::vector<float>>> channels;
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <optional>
 #include <string>
 
 #include "rosplat_core/map/gaussian_map.hpp"
@@ -20,9 +21,6 @@ enum class ChannelColours {
 inline bool drawsBalls(DrawMode mode) {
   return mode == DrawMode::kFlatBall || mode == DrawMode::kGaussianBall;
 }
-
-// Opacity compensation for the 2D low-pass filter (Mip-Splatting).
-enum class Antialiasing { kAsTrained, kOn, kOff };
 
 // Which sorter's order is drawn.
 enum class OrderSource {
@@ -73,9 +71,9 @@ struct RenderSettings {
   // Nobody waits for a picture: the processor paints after the camera, and the newest picture is
   // shown meanwhile. The level of detail approaches a budget in small steps.
   bool interactive = false;
-  float scale = 1;    // of the splats' size
-  float opacity = 1;  // of their opacity, 0 to 1
-  Antialiasing antialiasing = Antialiasing::kAsTrained;
+  float scale = 1;             // of the splats' size
+  float opacity = 1;           // of their opacity, 0 to 1
+  std::optional<Model> model;  // in place of the map's own
   OrderSource order = OrderSource::kAuto;
   Rasterizer rasterizer = Rasterizer::kAuto;
   bool profile = false;  // measure the stages of a frame; this waits for the graphics card
@@ -91,11 +89,11 @@ struct RenderSettings {
   // Whether the projected splats are the same with both settings.
   bool projectsAs(const RenderSettings& o) const {
     return mode == o.mode && max_sh_degree == o.max_sh_degree && only_band == o.only_band &&
-           scale == o.scale && opacity == o.opacity && antialiasing == o.antialiasing &&
-           clip_box == o.clip_box && near_fade == o.near_fade && age_range == o.age_range &&
-           depth_range == o.depth_range && channel == o.channel &&
-           channel_colours == o.channel_colours && channel_range == o.channel_range &&
-           detail == o.detail && blendsLevels() == o.blendsLevels();
+           scale == o.scale && opacity == o.opacity && model == o.model && clip_box == o.clip_box &&
+           near_fade == o.near_fade && age_range == o.age_range && depth_range == o.depth_range &&
+           channel == o.channel && channel_colours == o.channel_colours &&
+           channel_range == o.channel_range && detail == o.detail &&
+           blendsLevels() == o.blendsLevels();
   }
 
   // Whether levels of detail blend into one another, lest they pop. Solid balls can't blend, and a
@@ -103,6 +101,9 @@ struct RenderSettings {
   bool blendsLevels() const {
     return !drawsBalls(mode) && (interactive || detail.kind != Detail::Kind::kSplats);
   }
+
+  // The model by which a map is drawn that was published with one.
+  Model drawnModel(Model published) const { return model.value_or(published); }
 
   // Nodes have no values of channels, so kChannel is drawn in full.
   Detail drawnDetail() const { return mode == DrawMode::kChannel ? Detail{} : detail; }

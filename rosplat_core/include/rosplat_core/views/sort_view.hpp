@@ -22,8 +22,9 @@ struct SortView {
   bool orthographic;
 };
 
-// Half the low-pass filter's reach, 3.33 * sqrt(0.3) = 1.82 px, with room for rounding.
-constexpr double kMarginPixels = 2.0;
+// The reach of the low-pass filter, 3.33 * sqrt(0.3) = 1.82 px, and of a disc's spot, 3.33 *
+// sqrt(0.5) = 2.35 px, with room for rounding.
+constexpr double kMarginPixels = 2.5;
 
 // How much wider than the picture an order is culled: by the time it is drawn, the camera has moved
 // on to splats beyond the picture. 1.25 saves 11 dB after a turn of 3 degrees (docs/stability.md).

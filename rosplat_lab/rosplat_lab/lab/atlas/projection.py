@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from rosplat_core.models import Model
 from rosplat_core.splats import concatenate
-from rosplat_lab.lab import rays
 from rosplat_lab.lab.atlas.case import Cases, Errors
 from rosplat_lab.lab.atlas.stage import (
     HEIGHT,
@@ -40,7 +40,10 @@ def wide_view(stage: Stage, angle: float) -> Errors:
     camera = ahead(math.radians(angle))
     expected = truth(room, camera)
     yield from stage.both(room, camera, expected)
-    yield "EWA against exact rays", decibels(expected, rays.picture(room, camera))
+    yield (
+        "EWA against exact rays",
+        decibels(expected, truth(replace(room, model=Model.RAY), camera)),
+    )
 
 
 @CASES.enter(
@@ -86,13 +89,13 @@ def zoomed_out(stage: Stage, factor: float) -> Errors:
         camera, width=finer * WIDTH, height=finer * HEIGHT, fx=finer * camera.fx,
         fy=finer * camera.fy, cx=finer * camera.cx, cy=finer * camera.cy,
     )  # fmt: skip
-    sharp = truth(replace(splats, antialiased=True), fine)
+    sharp = truth(replace(splats, model=Model.EWA_ANTIALIASED), fine)
     expected = sharp.reshape(HEIGHT, finer, WIDTH, finer, 3).mean(axis=(1, 3))
     # Only the part that the scene covers counts: from afar, most is background.
     rows, columns = (np.flatnonzero(expected.max(axis=(axis, 2)) > 0) for axis in (1, 0))
     part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    for name, mode in (("As Trained, +0.3 px²", "OFF"), ("Antialiasing: On", "ON")):
-        picture = stage.shown(splats, camera, PROCESSOR, antialiasing=mode)
+    for name, mode in (("EWA, +0.3 px²", Model.EWA), ("EWA Antialiased", Model.EWA_ANTIALIASED)):
+        picture = stage.shown(splats, camera, PROCESSOR, model=mode)
         yield name, decibels(picture[part], expected[part])
 
 

@@ -31,6 +31,7 @@ std::string constant(const char* name, double value) { return constant(name, flo
 std::string constantsInGlsl() {
   std::string glsl;
 #define CONSTANT(name) glsl += constant(#name, name)
+#define MODEL(name) glsl += constant(#name, static_cast<int>(Model::name))
 #define MODE(name) glsl += constant(#name, static_cast<int>(DrawMode::name))
   MODE(kDepth);
   MODE(kBillboard);
@@ -38,6 +39,7 @@ std::string constantsInGlsl() {
   MODE(kOpacity);
   MODE(kAge);
   MODE(kChannel);
+  MODEL(kEwaAntialiased);
   CONSTANT(kNoColours);
   CONSTANT(kCategories);
   CONSTANT(kPageSlots);
@@ -57,6 +59,7 @@ std::string constantsInGlsl() {
   CONSTANT(kBoundless);
 #undef CONSTANT
 #undef MODE
+#undef MODEL
   return glsl;
 }
 

@@ -21,8 +21,8 @@ OrderedSplats::OrderedSplats(Shaders& shaders, RadixSort& sort, const Tallies& t
 bool OrderedSplats::answers(const Frame& frame) const {
   const auto same = [](const Prepared& prepared, const FrameLayer& layer) {
     return prepared.camera == layer.camera && prepared.settings.projectsAs(layer.settings) &&
-           prepared.antialiased == layer.map.antialiased &&
-           prepared.version == layer.store.version() && prepared.error == layer.error &&
+           prepared.model == layer.map.model && prepared.version == layer.store.version() &&
+           prepared.error == layer.error &&
            layer.settings.mode != DrawMode::kAge;  // ages change with time
   };
   return kept_ && order_ == frame.order &&
@@ -36,7 +36,7 @@ void OrderedSplats::prepare(const Frame& frame) {
   std::size_t slots = 0;
   for (const FrameLayer& layer : frame.layers) {
     prepared_.push_back(
-        {layer.camera, layer.settings, layer.map.antialiased, layer.store.version(), layer.error});
+        {layer.camera, layer.settings, layer.map.model, layer.store.version(), layer.error});
     slots += layer.store.slots();
   }
   if (order_ != frame.order) takeOrder(frame.order);

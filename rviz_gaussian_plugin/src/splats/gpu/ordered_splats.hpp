@@ -48,7 +48,7 @@ class OrderedSplats {
   struct Prepared {
     SplatCamera camera;
     RenderSettings settings;
-    bool antialiased;
+    Model model;
     std::uint64_t version;  // of the store
     double error;
   };

@@ -59,9 +59,7 @@ MapBlock::MapBlock(const FrameLayer& layer) {
   opacity_modifier = settings.opacity;
   sh_degree = std::min(layer.store.shDegree(), settings.max_sh_degree);
   only_band = settings.only_band;
-  antialiased = settings.antialiasing == Antialiasing::kAsTrained
-                    ? layer.map.antialiased
-                    : settings.antialiasing == Antialiasing::kOn;
+  model = static_cast<int>(settings.drawnModel(layer.map.model));
   age_range = settings.age_range;
   const Cut shares = layer.cut(layer.camera, {});
   cut = layer.cuts();

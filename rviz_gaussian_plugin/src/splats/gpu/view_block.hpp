@@ -35,7 +35,7 @@ struct alignas(gl::Slice::kAlignment) MapBlock {
   float near_fade;
   float scale_modifier, opacity_modifier;
   std::int32_t sh_degree, only_band;
-  Flag antialiased;
+  std::int32_t model;
   float age_range;
   Flag cut;
   float cut_focal;

@@ -1,0 +1,146 @@
+#pragma once
+
+// A splat's response along the rays of a picture, as six numbers of the splat.
+//
+// How it works
+//
+// The mean m projects to the pixel p. A ray through p + d has the direction r(d), r(0) = m / z.
+// With M = G diag(s), the splat's axes in the camera's frame, every point of the splat's sigma
+// ellipsoid is m + M b with |b| = 1. Seen from the camera along m, M has three rows:
+//
+//   right, down   how far a step b moves the point's projection, to first order [px]: the rows of
+//                 J W G diag(s), J the derivative of the projection at m. Tangents aren't clamped.
+//   ahead         how far b moves the point in depth, as a share of z: the third row of M, over z
+//
+// So (right, down, ahead) is the splat in coordinates in which the camera looks along m, and
+//
+//   S = [right.right, right.down; down.right, down.down]     the ellipse that EWA draws, unfiltered
+//   g = (ahead.right, ahead.down)
+//   tilt = -S^-1 g                                           [1/px]
+//   nearness = ahead.ahead - g' S^-1 g = 1 / D^2,            D: the camera's own distance from the
+//                                                            mean in standard deviations
+//
+// The squared distance of a ray from the mean, in standard deviations, is then exactly
+//
+//   d' S^-1 d / ((1 + tilt.d)^2 + nearness d' S^-1 d)
+//
+// and the response is opacity exp(-half of it). The ray is nearest to the mean at the depth
+//
+//   z (1 + tilt.d) / ((1 + tilt.d)^2 + nearness d' S^-1 d)
+//
+// A flat splat has nearness 0; the formula is then the ray's intersection with the disc. With tilt
+// and nearness 0 it is an ellipse in the picture: EWA, and what parallel rays see.
+//
+// Where the response is at least 1/255, the distance is at most c, c^2 = 2 ln(255 opacity). This is
+// another ellipse, from the dual conic m m' - c^2 M M' by completing squares:
+//
+//   w = 1 - c^2 ahead.ahead,  centre -c^2 g / w,  covariance S / w + c^2 g g' / w^2, at c
+//   deviations
+//
+// while w > 0: the ellipsoid of c deviations is in front of the camera's plane z = 0. Else the
+// outline is open, and the whole picture may show the splat. All sums are of squares or of
+// products of cross products, so that float32 holds needles and discs.
+//
+// 2DGS gives each disc a spot around the centre of its outline at one deviation, of half a pixel's
+// variance: the distance of which the smaller one counts is kSpot times the square of the offset.
+//
+// Real: a float, a double, or a vector of floats (simd.hpp), so plain operators alone.
+// splat_conic.glsl and rosplat_lab/reference/conics.py have the same.
+
+namespace rosplat {
+
+// 1 / the variance of a disc's spot. [1/px^2]
+constexpr float kSpot = 2;
+// The least w of a closed outline.
+constexpr float kLeastAhead = 1e-3f;
+
+template <typename Real>
+struct Rows {
+  Real right[3], down[3], ahead[3];
+};
+
+template <typename Real>
+struct Conic {
+  Real xx, xy, yy;   // S [px^2]
+  Real determinant;  // of S
+  Real g[2];         // [px]
+  Real ahead;        // ahead.ahead
+  Real tilt[2];      // [1/px]
+  Real nearness;
+};
+
+// An ellipse around p + (x, y).
+template <typename Real>
+struct Outline {
+  Real x, y;         // [px]
+  Real xx, xy, yy;   // covariance [px^2]
+  Real determinant;  // of the covariance
+  Real w;            // the other numbers mean nothing where it is less than kLeastAhead
+};
+
+namespace conic {
+
+template <typename Real>
+Real dot(const Real (&a)[3], const Real (&b)[3]) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+template <typename Real>
+void cross(const Real (&a)[3], const Real (&b)[3], Real (&into)[3]) {
+  into[0] = a[1] * b[2] - a[2] * b[1];
+  into[1] = a[2] * b[0] - a[0] * b[2];
+  into[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+}  // namespace conic
+
+template <typename Real>
+Conic<Real> conicOf(const Rows<Real>& rows) {
+  using conic::cross;
+  using conic::dot;
+  Real area[3], below[3], beside[3];
+  cross(rows.right, rows.down, area);
+  cross(rows.down, rows.ahead, below);
+  cross(rows.ahead, rows.right, beside);
+  Conic<Real> c;
+  c.xx = dot(rows.right, rows.right);
+  c.xy = dot(rows.right, rows.down);
+  c.yy = dot(rows.down, rows.down);
+  c.determinant = dot(area, area) + 1e-30f;  // more than 0 for a disc on edge, too
+  c.g[0] = dot(rows.ahead, rows.right);
+  c.g[1] = dot(rows.ahead, rows.down);
+  c.ahead = dot(rows.ahead, rows.ahead);
+  const Real over = 1.0f / c.determinant;
+  c.tilt[0] = dot(below, area) * over;
+  c.tilt[1] = dot(beside, area) * over;
+  const Real volume = dot(rows.ahead, area);
+  c.nearness = volume * volume * over;
+  return c;
+}
+
+// cut2: the square of c.
+template <typename Real>
+Outline<Real> outlineOf(const Conic<Real>& c, Real cut2) {
+  Outline<Real> o;
+  o.w = 1.0f - cut2 * c.ahead;
+  const Real over = 1.0f / o.w, more = cut2 * over * over;
+  o.x = -cut2 * over * c.g[0];
+  o.y = -cut2 * over * c.g[1];
+  o.xx = c.xx * over + more * c.g[0] * c.g[0];
+  o.xy = c.xy * over + more * c.g[0] * c.g[1];
+  o.yy = c.yy * over + more * c.g[1] * c.g[1];
+  // |S| (1 + cut2 g' S^-1 g / w) / w^2, and g' S^-1 g is ahead.ahead less nearness.
+  o.determinant = c.determinant * over * over * (1.0f + cut2 * over * (c.ahead - c.nearness));
+  return o;
+}
+
+// Where a disc's spot is, from p. [px]
+template <typename Real>
+void spotOf(const Conic<Real>& c, Real& x, Real& y) {
+  const Real left = 1.0f - c.ahead;
+  const Real over = left * left > 1e-6f ? 1.0f / left : Real{};
+  x = -over * c.g[0];
+  y = -over * c.g[1];
+}
+
+}  // namespace rosplat
