@@ -3,6 +3,8 @@
 import errno
 import os
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -30,6 +32,29 @@ def test_an_interrupted_writing_leaves_the_old_file(
         raise error
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_a_killed_program_left_is_removed(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "a.json"
+    script = (
+        "import os, sys; from pathlib import Path\n"
+        "from rosplat_core.program.files import replacing\n"
+        "with replacing(Path(sys.argv[1])): os.kill(os.getpid(), 9)"
+    )
+    subprocess.run([sys.executable, "-c", script, str(path)], check=False, cwd=tmp_path)
+    (left,) = tmp_path.iterdir()
+    os.utime(left, (0, 0))
+    (tmp_path / ".b.json.x.part").touch()
+    os.utime(tmp_path / ".b.json.x.part", (0, 0))
+    with replacing(path) as partial:
+        os.utime(partial, (0, 0))
+        write_text(path, "meanwhile")  # another program's is locked, and stays
+        partial.write_text("whole")
+    assert path.read_text() == "whole"
+    assert {each.name for each in tmp_path.iterdir()} == {"a.json", ".b.json.x.part"}
+    assert caplog.text.count("removed; a program was killed") == 1
 
 
 def test_what_can_t_be_written_is_named(tmp_path: Path) -> None:

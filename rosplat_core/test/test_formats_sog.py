@@ -304,6 +304,16 @@ def test_a_streamed_scene_without_its_files(scene: Callable[[str], Path], tmp_pa
             load(tmp_path)
 
 
+@pytest.mark.parametrize("value", [0.0, 1e19, 3e38])
+def test_one_large_number_everywhere(
+    random_splats: Callable[..., Splats], tmp_path: Path, value: float
+) -> None:
+    splats = random_splats(300)
+    splats.sh[:] = value
+    save(tmp_path / "a.sog", splats)
+    np.testing.assert_allclose(load(tmp_path / "a.sog").sh, splats.sh, rtol=1e-6)
+
+
 def test_no_scene_at_all(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("not a scene")
     os.mkfifo(tmp_path / "pipe.ply")

@@ -76,10 +76,15 @@ def _drawn(name: str, splats: Splats) -> dict[str, str]:
         return {}
     # alpha at 3 sigma: opacity exp(-9 / 2)
     beyond = np.count_nonzero(splats.opacities * np.exp(-4.5) > LEAST_ALPHA) / len(splats)
-    psnr = order_costs(splats, splats.up or UP)
-    return {
+    told = {
         "drawn": f"elsewhere {rule}; here by depth, cut at an alpha of 1/255",
         "cut": f"{100 * beyond:.3g} % of the splats reach beyond 3 sigma",
+    }
+    try:
+        psnr = order_costs(splats, splats.up or UP)
+    except ValueError:  # no camera is that far away
+        return told | {"order": "too wide for a picture"}
+    return told | {
         "order": f"pictures in either order agree to {np.mean(psnr):.1f} dB, {min(psnr):.1f} dB at "
         f"worst of {VIEWS} views from around",
     }

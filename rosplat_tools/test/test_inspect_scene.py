@@ -97,6 +97,19 @@ def test_what_a_format_s_rule_of_drawing_changes(random_splats: Make, tmp_path: 
     assert "drawn" not in rows(describe(tmp_path / "a.ply"))
 
 
+@pytest.mark.parametrize("width", [1e12, 1e18, 3e38])
+def test_no_scene_is_too_wide(random_splats: Make, tmp_path: Path, width: float) -> None:
+    splats = random_splats(50, 0)
+    splats.positions[:] *= np.float32(width) / np.abs(splats.positions).max()
+    save(tmp_path / "a.glb", splats)
+    assert rows(describe(tmp_path / "a.glb"))["order"]
+
+
+def test_control_codes_of_a_name_are_shown(random_splats: Make, tmp_path: Path) -> None:
+    save(tmp_path / "a\x1b[31m.ply", random_splats(3))
+    assert "\x1b" not in describe(tmp_path / "a\x1b[31m.ply")
+
+
 def test_a_streamed_scene_is_as_large_as_its_parts(tmp_path: Path) -> None:
     path = write_scene(tmp_path / "scene")
     size = sum(part.stat().st_size for part in path.parent.rglob("*") if part.is_file())

@@ -27,6 +27,8 @@ def codebook(values: Floats) -> NDArray[np.float32]:
     if not len(flat):
         return np.zeros(SIZE, np.float32)
     sample = np.sort(flat[:: -(-len(flat) // SAMPLE)]).astype(np.float64)
+    if sample[0] == sample[-1]:  # a histogram of a large number alone has no width
+        return np.full(SIZE, sample[0], np.float32)
     # A few values are best spread by the cube root of the density (Panter and Dite 1951).
     counts, edges = np.histogram(sample, SIZE)
     shares = np.concatenate([[0], np.cumsum(np.cbrt(counts))])
