@@ -16,7 +16,6 @@ from rosplat_core.rendering import (
     ClipBox,
     CpuRenderer,
     DrawMode,
-    OrderSource,
     Rasterizer,
     posed,
 )
@@ -57,7 +56,7 @@ def placed(splats: Splats, at: Pose) -> Splats:
     return splats.moved(frame_at(*pose_values(at)))
 
 
-@pytest.fixture(params=["processor", "levels", "tiles", "built-in order"])
+@pytest.fixture(params=["processor", "levels", "tiles"])
 def target(request: pytest.FixtureRequest) -> Iterator[Target]:
     """The ways on which a map comes into a picture."""
     if request.param in ("processor", "levels"):
@@ -69,9 +68,7 @@ def target(request: pytest.FixtureRequest) -> Iterator[Target]:
     settings = opengl.renderer.settings
     settings.float_blending = True
     settings.rasterizer = Rasterizer.TILES
-    settings.order = OrderSource.BUILT_IN if request.param == "built-in order" else OrderSource.AUTO
     yield opengl
-    settings.order = OrderSource.AUTO
     assert not opengl.renderer.failed(), "OpenGL reported an error"
 
 

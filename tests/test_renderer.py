@@ -16,6 +16,7 @@ import pytest
 
 import drawing
 from drawing import decibels
+from rosplat_core import ordering
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.maps import BatchError
 from rosplat_core.models import Model
@@ -103,13 +104,12 @@ def host(display: str) -> Iterator[Host]:
     del host.renderer
 
 
-@pytest.fixture(autouse=True, params=["tiles", "tiles in a given order", "processor"])
+@pytest.fixture(autouse=True, params=["tiles", "processor"])
 def default_settings(host: Host, request: pytest.FixtureRequest) -> Iterator[None]:
-    """Everything holds on the card and on the processor, whoever sorts."""
+    """Everything holds on the card and on the processor."""
     host.renderer.settings = RenderSettings()
-    processor, given = request.param == "processor", "given" in request.param
+    processor = request.param == "processor"
     host.set(rasterizer=Rasterizer.PROCESSOR if processor else Rasterizer.TILES)
-    host.set(order=OrderSource.BUILT_IN if given else OrderSource.AUTO)
     yield
     assert not host.renderer.failed(), "OpenGL reported an error"
     assert host.renderer.warning == ""  # such as a sort that the driver gets wrong
@@ -397,8 +397,12 @@ def test_the_gpu_finds_the_order_of_the_sorters(host: Host) -> None:
     for camera in (along_x, *CAMERAS.values()):
         host.set(order=OrderSource.AUTO)
         picture = host.draw(camera)
-        host.set(order=OrderSource.BUILT_IN)
-        np.testing.assert_array_equal(picture, host.draw(camera))
+        host.set(order=OrderSource.SIDECAR)
+        host.look(camera)
+        slots = ordering.depth_order(splats, camera)
+        host.renderer.set_order("test", host.sequence, str(host.map), 1, "given", 0.0, slots)
+        assert host.renderer.draw("test")["order_source"] == "given"
+        np.testing.assert_array_equal(picture, host.renderer.read_color())
 
 
 def test_the_first_frame_that_needs_more_room_is_whole(host: Host) -> None:
@@ -761,7 +765,7 @@ def test_near_fade_thins_what_is_close(host: Host) -> None:
     assert host.draw(ABOVE)[CENTRE][3] == pytest.approx(solid / 2, rel=0.02)
 
 
-def test_unsorted_and_built_in_orders_can_be_chosen(host: Host) -> None:
+def test_slots_are_drawn_unsorted_where_nobody_is_to_sort(host: Host) -> None:
     splats = cloud(300)
     host.show(splats)
     host.set(order=OrderSource.OFF, float_blending=True)
@@ -771,24 +775,18 @@ def test_unsorted_and_built_in_orders_can_be_chosen(host: Host) -> None:
     assert decibels(host.renderer.read_color(), expected) >= 70
 
 
-def test_who_sorts_itself_wants_no_orders(host: Host) -> None:
-    for source in OrderSource.__members__.values():
-        host.set(order=source)
-        assert host.renderer.wants_orders() == (source == OrderSource.SIDECAR)
-
-
 def test_what_is_sorted_now_is_sorted_where_that_takes_least(host: Host) -> None:
     """By what rasterises, unless another is named."""
-    best, named = "gpu", {OrderSource.BUILT_IN: "built-in", OrderSource.OFF: "nobody"}
+    best = "gpu"
     if host.renderer.settings.rasterizer == Rasterizer.PROCESSOR:
-        best, named = "processor", {OrderSource.OFF: "nobody"}
+        best = "processor"
     splats = cloud(300)
     host.show(splats)
     for source in OrderSource.__members__.values():
         host.set(order=source, float_blending=True)
         host.look(CAMERAS["outside"])
         report = host.renderer.draw("test", sort_now=True)
-        assert report["order_source"] == named.get(source, best)
+        assert report["order_source"] == ("nobody" if source == OrderSource.OFF else best)
         unsorted = np.arange(300) if source == OrderSource.OFF else None
         expected = reference.render(splats, CAMERAS["outside"], order=unsorted).rgba
         assert decibels(host.renderer.read_color(), expected) >= 70

@@ -34,7 +34,7 @@ MAP: dict[str, Any] = {
     "Scale": 1.5,
     "SH Degree": "2",
     "SH Degree/SH Band": "1",
-    "Order Source": "Built-in",
+    "Order Source": "Off",
     "Model": "EWA Antialiased",
     "Detail": "2 px",
     "Float Blending": True,

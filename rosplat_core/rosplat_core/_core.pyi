@@ -215,7 +215,6 @@ class OrderSource:
     __members__: ClassVar[dict[str, OrderSource]]
     AUTO: ClassVar[OrderSource]
     SIDECAR: ClassVar[OrderSource]
-    BUILT_IN: ClassVar[OrderSource]
     OFF: ClassVar[OrderSource]
 
 class Rasterizer:

@@ -146,26 +146,6 @@ TEST(DepthOrder, EqualsAStableSortHoweverDepthsAreSpread) {
   }
 }
 
-TEST(DepthOrder, OfSomeSlotsIsThatOfAllWithoutTheOthers) {
-  const Row row = cloud(100000, 0.5f);
-  const SortView view = lookAhead();
-  Slots some;
-  for (std::uint32_t slot = 0; slot < row.extents.size(); slot += 3) some.push_back(slot);
-  Slots expected = row.sort(view);
-  expected.erase(std::remove_if(expected.begin(), expected.end(),
-                                [](std::uint32_t slot) { return slot % 3 != 0; }),
-                 expected.end());
-  std::vector<float> positions, extents;
-  for (const std::uint32_t slot : some) {
-    positions.insert(positions.end(), &row.positions[3 * slot], &row.positions[3 * slot] + 3);
-    extents.push_back(row.extents[slot]);
-  }
-  const Slots first_view(some.size(), 0);
-  EXPECT_EQ(DepthOrder(2).sort(&view, positions.data(), extents.data(), some.data(),
-                               first_view.data(), some.size()),
-            expected);
-}
-
 TEST(DepthOrder, OfPagesIsThatOfTheirSlotsEachSeenByItsView) {
   constexpr std::uint32_t kSlots = SortPage::kSlots, kPages = 150;
   Row row = cloud(kPages * kSlots, 0.5f);
@@ -174,9 +154,8 @@ TEST(DepthOrder, OfPagesIsThatOfTheirSlotsEachSeenByItsView) {
   views[1].translation[2] = 1;  // whole steps of the cloud: ties among groups
   views[2].rotation[0] = views[2].rotation[8] = -1;
   std::vector<SortPage> pages;
-  Slots listed, view_of;
-  std::vector<float> positions, extents;  // of these
-  Row seen(std::vector<float>{});         // where the views see them, for a camera at the origin
+  Slots listed;
+  Row seen(std::vector<float>{});  // these, where the views see them, for a camera at the origin
   for (std::uint32_t page = 0; page < kPages; ++page) {
     // With gaps between the slots; their rows lie in another order.
     pages.push_back(
@@ -185,15 +164,12 @@ TEST(DepthOrder, OfPagesIsThatOfTheirSlotsEachSeenByItsView) {
     for (std::uint32_t i = 0; i < kSlots; ++i) {
       const float* at = &row.positions[3 * (std::size_t{pages.back().place} * kSlots + i)];
       listed.push_back(pages.back().first_slot + i);
-      view_of.push_back(pages.back().view);
-      positions.insert(positions.end(), at, at + 3);
-      extents.push_back(row.extents[std::size_t{pages.back().place} * kSlots + i]);
+      seen.extents.push_back(row.extents[std::size_t{pages.back().place} * kSlots + i]);
       for (int k = 0; k < 3; ++k) {
         seen.positions.push_back(view.rotation[4 * k] * at[k] + view.translation[k]);
       }
     }
   }
-  seen.extents = extents;
   Slots expected = seen.sort(lookAhead());
   for (std::uint32_t& slot : expected) slot = listed[slot];
   EXPECT_GT(expected.size(), 10000u);
@@ -205,9 +181,6 @@ TEST(DepthOrder, OfPagesIsThatOfTheirSlotsEachSeenByItsView) {
                                return order.data();
                              });
     EXPECT_EQ(order, expected);
-    EXPECT_EQ(DepthOrder(threads).sort(views.data(), positions.data(), extents.data(),
-                                       listed.data(), view_of.data(), listed.size()),
-              expected);
   }
 }
 

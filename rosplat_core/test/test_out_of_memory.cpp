@@ -22,7 +22,6 @@
 #include "owned_batch.hpp"
 #include "rosplat_core/levels/levels.hpp"
 #include "rosplat_core/map/edit_queue.hpp"
-#include "rosplat_core/order/built_in_sorter.hpp"
 #include "rosplat_core/raster/cpu_rasterizer.hpp"
 
 namespace {
@@ -397,46 +396,6 @@ TEST(OutOfMemory, APictureIsRefusedAndTheNextOneIsDrawn) {
       });
     }
   }
-}
-
-TEST(OutOfMemory, TheSorterSaysWhatItLacksAndSortsWhatComesAnew) {
-  GaussianMap map;
-  const Edit whole = applied(map, batchOf(1, GaussianBatch::REPLACE, 0, 1500));
-  const MapState first = map.state();
-  const Edit more = applied(map, batchOf(2, GaussianBatch::UPSERT, 5000, 60, 7));
-  const SplatCamera camera = Drawn(false).request.layers[0].camera;
-  std::vector<std::uint32_t> expected;
-  const auto feed = [&](BuiltInSorter& sorter) {
-    sorter.apply(EditQueue::node(whole, first));
-    sorter.apply(EditQueue::node(more, map.state()));
-  };
-  {
-    OrderPool pool;
-    BuiltInSorter sorter(pool);
-    feed(sorter);
-    expected = sorter.sortNow("view", 1, camera)->slots;
-    ASSERT_GT(expected.size(), 1000u);
-  }
-  failEach([&](long fails, bool lasts) {
-    OrderPool pool;
-    BuiltInSorter sorter(pool);
-    OrderPtr order;
-    const Outcome outcome = tried(fails, lasts, [&] {
-      feed(sorter);
-      order = sorter.sortNow("view", 1, camera);
-    });
-    if (outcome == Outcome::kDone && order->slots != expected) {
-      EXPECT_NE(order->source.find("out of memory"), std::string::npos);
-      EXPECT_EQ(order->slots.size(), 0u);
-    }
-    feed(sorter);
-    EXPECT_EQ(sorter.sortNow("view", 2, camera)->slots, expected);
-    // Who doesn't wait asks again, and gets an order.
-    tried(fails, lasts, [&] { sorter.request("view", 3, camera); });
-    sorter.request("view", 4, camera);
-    while (!(order = sorter.take("view")) || order->sequence < 4) std::this_thread::yield();
-    EXPECT_EQ(order->slots, expected);
-  });
 }
 
 }  // namespace

@@ -91,7 +91,7 @@ TEST(SidecarStatus, warnsOfAnotherBackendThanTheOneAskedFor) {
   received.sidecar.text = "/sorter asked for backend torch";
   EXPECT_EQ(sidecarStatus(received, "torch", {sortedBy("sidecar (torch)")}).level,
             StatusProperty::Ok);
-  EXPECT_EQ(sidecarStatus(received, "torch", {sortedBy("built-in")}).level, StatusProperty::Ok);
+  EXPECT_EQ(sidecarStatus(received, "torch", {sortedBy("gpu")}).level, StatusProperty::Ok);
   EXPECT_EQ(sidecarStatus(received, "", {sortedBy("sidecar (native)")}).level, StatusProperty::Ok);
   const StatusLine line =
       sidecarStatus(received, "torch", {sortedBy("sidecar (torch)"), sortedBy("sidecar (native)")});

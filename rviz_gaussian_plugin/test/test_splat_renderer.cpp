@@ -193,6 +193,31 @@ std::vector<float> picture(SplatScene& scene, Rasterizer rasterizer, OrderSource
   return scene.readColor();
 }
 
+// The picture of manySplats() in an order by depth that a sidecar might send.
+std::vector<float> sortedPicture(SplatScene& scene) {
+  const std::vector<float> positions = manySplats().splats.position;
+  const auto depth = [&](std::uint32_t slot) { return positions[3 * slot + 2]; };
+  const std::shared_ptr<Order> order = scene.newOrder();
+  order->view_id = "view";
+  order->sequence = 1;
+  order->map_id = scene.state().id;
+  order->revision = scene.state().revision;
+  order->source = "sidecar";
+  order->bound = kSplats;
+  order->slots.resize(kSplats);
+  std::iota(order->slots.rbegin(), order->slots.rend(), 0u);
+  std::stable_sort(order->slots.begin(), order->slots.end(),
+                   [&](std::uint32_t a, std::uint32_t b) { return depth(a) > depth(b); });
+  RenderSettings settings;
+  settings.float_blending = true;
+  settings.rasterizer = Rasterizer::kTiles;
+  settings.order = OrderSource::kSidecar;
+  scene.setCamera("view", 1, camera());
+  scene.offer(order);
+  scene.draw("view", settings, Canvas::kNone);
+  return scene.readColor();
+}
+
 std::vector<std::uint32_t> picked(SplatScene& scene, const SplatCamera& seen_by = camera()) {
   RenderSettings settings;
   settings.rasterizer = Rasterizer::kTiles;
@@ -493,8 +518,8 @@ class SplatRendererTest : public testing::Test {
 TEST_F(SplatRendererTest, SortsOnTheGpuAsTheProcessorDoes) {
   SplatScene scene(shaders());
   fill(scene);
-  const auto expected = picture(scene, Rasterizer::kTiles, OrderSource::kBuiltIn);
-  EXPECT_EQ(scene.report("view").order_source, "built-in");
+  const auto expected = sortedPicture(scene);
+  EXPECT_EQ(scene.report("view").order_source, "sidecar");
   EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kAuto), expected);
   EXPECT_EQ(scene.report("view").order_source, "gpu");
   EXPECT_EQ(scene.report("view").rasterizer, "tiles");
@@ -600,30 +625,6 @@ TEST_F(SplatRendererTest, LaysSplatsOverATextureAsOverAWindow) {
   EXPECT_LE(greatest, 1);  // of 255, by rounding
 }
 
-TEST_F(SplatRendererTest, TheSorterIsGivenTheMapOnceItIsAsked) {
-  SplatScene scene(shaders()), asked_before(shaders());
-  fill(scene);
-  fill(asked_before);
-  picture(asked_before, Rasterizer::kTiles, OrderSource::kBuiltIn);
-  picture(scene, Rasterizer::kTiles, OrderSource::kAuto);
-  RenderSettings built_in;
-  built_in.rasterizer = Rasterizer::kTiles;
-  built_in.order = OrderSource::kBuiltIn;
-  EXPECT_TRUE(scene.ready("view", built_in, true));  // drawing finds the order
-  EXPECT_EQ(scene.bytes().host, 0u);
-  for (const std::uint64_t revision : {2, 3}) {
-    Splats more;
-    more.add({0, 0, 4.0f - float(revision)}, {1, 0, float(revision)});
-    for (SplatScene* of : {&scene, &asked_before}) of->apply(more.batch(revision, {3000}));
-    EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kBuiltIn),
-              picture(asked_before, Rasterizer::kTiles, OrderSource::kBuiltIn));
-  }
-  picture(scene, Rasterizer::kProcessor, OrderSource::kAuto);
-  EXPECT_EQ(scene.report("view").order_source, "processor");
-  EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kBuiltIn),
-            picture(asked_before, Rasterizer::kTiles, OrderSource::kBuiltIn));
-}
-
 TEST_F(SplatRendererTest, ReportsWhoSortsUntilAnOrderComes) {
   SplatScene scene(shaders());
   fill(scene);
@@ -635,6 +636,23 @@ TEST_F(SplatRendererTest, ReportsWhoSortsUntilAnOrderComes) {
   EXPECT_EQ(report.order_source, "gpu");
   EXPECT_GT(report.splats, kSplats / 2);
   EXPECT_TRUE(report.order_fresh);
+}
+
+// A sidecar's order is of a map as it was: what has come since would be missing.
+TEST_F(SplatRendererTest, SortsItselfWhereTheMapHasChangedSinceTheOrder) {
+  SplatScene scene(shaders());
+  fill(scene);
+  sortedPicture(scene);
+  Splats more;
+  more.add({0, 0, 2}, {1, 0, 2});
+  scene.apply(more.batch(2, {kSplats}));
+  const auto expected = picture(scene, Rasterizer::kTiles, OrderSource::kAuto);
+  RenderSettings settings;
+  settings.float_blending = true;
+  settings.rasterizer = Rasterizer::kTiles;
+  settings.order = OrderSource::kSidecar;
+  EXPECT_EQ(scene.draw("view", settings, Canvas::kNone).order_source, "gpu");
+  EXPECT_EQ(scene.readColor(), expected);
 }
 
 TEST_F(SplatRendererTest, UnsortedSlotsFarApartCostTheirPages) {
@@ -656,7 +674,7 @@ TEST_F(SplatRendererTest, UnsortedSlotsFarApartCostTheirPages) {
 TEST_F(SplatRendererTest, SortsWithoutSubgroupsThatVoteWrongly) {
   SplatScene scene(shaders({"subgroupBallot(vote).x", "subgroupBallot(vote).x & 0xffffu"}));
   fill(scene);
-  const auto expected = picture(scene, Rasterizer::kTiles, OrderSource::kBuiltIn);
+  const auto expected = sortedPicture(scene);
   EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kAuto), expected);
   EXPECT_EQ(scene.report("view").order_source, "gpu");
   const bool subgroups = epoxy_has_gl_extension("GL_KHR_shader_subgroup");
@@ -667,7 +685,7 @@ TEST_F(SplatRendererTest, SortsWithoutSubgroupsThatVoteWrongly) {
 TEST_F(SplatRendererTest, SortsInWarpsOfAnyWidth) {
   SplatScene processor(shaders());
   fill(processor);
-  const auto expected = picture(processor, Rasterizer::kTiles, OrderSource::kBuiltIn);
+  const auto expected = sortedPicture(processor);
   for (const char* width : {"8", "16", "32", "64"}) {
     SplatScene scene(
         shaders({"#pragma optionNV(unroll all)",
@@ -948,10 +966,8 @@ TEST_F(SplatRendererTest, DrawsTheSameFromSparseSlotsThatComeBackwards) {
     }
     sparse.apply(some.batch(++revision, slots));
   }
-  for (const OrderSource order : {OrderSource::kBuiltIn, OrderSource::kAuto}) {
-    EXPECT_EQ(picture(sparse, Rasterizer::kTiles, order),
-              picture(dense, Rasterizer::kTiles, order));
-  }
+  EXPECT_EQ(picture(sparse, Rasterizer::kTiles, OrderSource::kAuto),
+            picture(dense, Rasterizer::kTiles, OrderSource::kAuto));
   std::vector<std::uint32_t> picks = picked(dense);
   for (std::uint32_t& slot : picks) slot *= slot == kNoSlot ? 1 : kApart;
   EXPECT_EQ(picked(sparse), picks);
@@ -1281,10 +1297,8 @@ TEST_F(SplatRendererTest, LosesNothingWithThePagesThatAreOutsideOfThePicture) {
   }
   whole.apply(wide.batch(2, slots));
   whole.apply(splats.batch(3, {}));
-  for (const OrderSource order : {OrderSource::kAuto, OrderSource::kBuiltIn}) {
-    EXPECT_EQ(picture(culled, Rasterizer::kTiles, order),
-              picture(whole, Rasterizer::kTiles, order));
-  }
+  EXPECT_EQ(picture(culled, Rasterizer::kTiles, OrderSource::kAuto),
+            picture(whole, Rasterizer::kTiles, OrderSource::kAuto));
   EXPECT_EQ(culled.report("view").splats, whole.report("view").splats);
 }
 
@@ -1319,7 +1333,7 @@ TEST_F(SplatRendererTest, NeedsMemoryForThePagesOfSlotsAlone) {
 TEST_F(SplatRendererTest, IsHiddenByAnOpaqueSceneInWhateverDepthFormat) {
   SplatScene scene(shaders());
   fill(scene);
-  const auto all = picture(scene, Rasterizer::kTiles, OrderSource::kBuiltIn);
+  const auto all = picture(scene, Rasterizer::kTiles, OrderSource::kAuto);
   std::vector<std::vector<float>> hidden;
   for (const GLenum format : {GL_DEPTH24_STENCIL8, GL_DEPTH_COMPONENT16, GL_DEPTH_COMPONENT24,
                               GL_DEPTH_COMPONENT32, GL_DEPTH_COMPONENT32F, GL_DEPTH32F_STENCIL8}) {
@@ -1340,12 +1354,12 @@ TEST_F(SplatRendererTest, IsHiddenByAnOpaqueSceneInWhateverDepthFormat) {
 TEST_F(SplatRendererTest, IsHiddenByNothingAndSaysSoWhereTheDriverKeepsTheDepth) {
   SplatScene scene(shaders());
   fill(scene);
-  const auto all = picture(scene, Rasterizer::kTiles, OrderSource::kBuiltIn);
+  const auto all = picture(scene, Rasterizer::kTiles, OrderSource::kAuto);
   const Framebuffer window(GL_DEPTH24_STENCIL8, 4, windowDepth(6));
   epoxy_glBlitFramebuffer = [](GLint, GLint, GLint, GLint, GLint, GLint, GLint, GLint, GLbitfield,
                                GLenum) { glEnable(GL_NONE); };  // an error
   for (int frame = 0; frame < 2; ++frame) {
-    EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kBuiltIn, Canvas::kWindow).size(),
+    EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kAuto, Canvas::kWindow).size(),
               all.size());
     EXPECT_NE(scene.warning().find("no object hides"), std::string::npos);
   }
@@ -1478,7 +1492,7 @@ TEST_F(SplatRendererTest, DrawsAllTheSameInRegions) {
   std::vector<RenderSettings> settings(5);
   settings[1].mode = DrawMode::kGaussianBall;
   settings[2].mode = DrawMode::kDepth;  // coloured by the depths of all
-  settings[3].order = OrderSource::kBuiltIn;
+  settings[3].order = OrderSource::kOff;
   settings[4].detail = parseDetail("3px");
   const auto pictures = [&](SplatScene& scene) {
     std::vector<std::vector<float>> drawn;

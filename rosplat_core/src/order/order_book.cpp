@@ -1,5 +1,6 @@
 #include "rosplat_core/order/order_book.hpp"
 
+#include <algorithm>
 #include <utility>
 
 namespace rosplat {
@@ -21,10 +22,9 @@ void OrderBook::mapChanged(const MapState& map) {
   // Another map, or the same map played once more: the revisions begin again.
   const bool begins = map.round != map_.round;
   for (auto& [id, view] : views_) {
-    if (begins) view.sidecar = view.built_in = view.drawn = nullptr;
+    if (begins) view.newest = nullptr;
   }
   map_ = map;
-  ++changes_;
   for (auto& [id, view] : views_) {
     if (view.early) offer(std::exchange(view.early, nullptr));
   }
@@ -44,101 +44,33 @@ bool OrderBook::offer(const OrderPtr& order) {
     view.early = order;
     return true;
   }
-  if (view.sidecar && order->sequence < view.sidecar->sequence) return false;
+  if (view.newest && order->sequence < view.newest->sequence) return false;
   // A sidecar that pulls the map anew knows less of the map than before.
-  if (view.sidecar && fresh(view, *view.sidecar) && !fresh(view, *order)) return false;
+  if (view.newest && fresh(view, *view.newest) && !fresh(view, *order)) return false;
   if (order->bound > map_.capacity || order->slots.size() > map_.capacity) return false;
-  view.sidecar = order;
+  view.newest = order;
   return true;
 }
 
 bool OrderBook::answered(const std::string& view_id) const {
   const auto found = views_.find(view_id);
-  return found != views_.end() && found->second.sidecar &&
-         fresh(found->second, *found->second.sidecar);
+  return found != views_.end() && found->second.newest &&
+         fresh(found->second, *found->second.newest);
 }
 
-void OrderBook::request(const std::string& view_id, ViewOrders& view, const OrderPtr& base) {
-  if (view.requested_sequence == view.cameras.back().sequence && view.requested_at == changes_ &&
-      view.requested_base == base) {
-    return;
-  }
-  // A merge compares depths, so it needs the camera that the base was sorted for.
-  const Camera* camera = nullptr;
-  for (const Camera& past : view.cameras) {
-    if (base && past.sequence <= base->sequence) camera = &past;
-  }
-  if (camera) {
-    built_in_.request(view_id, base->sequence, camera->camera, base);
-  } else {  // there is no base, or its camera is forgotten
-    const Camera& newest = view.cameras.back();
-    built_in_.request(view_id, newest.sequence, newest.camera, nullptr);
-  }
-  view.requested_sequence = view.cameras.back().sequence;
-  view.requested_at = changes_;
-  view.requested_base = base;
-}
-
-void OrderBook::takeSorted(const std::string& view_id, ViewOrders& view) {
-  OrderPtr sorted = built_in_.take(view_id);
-  if (sorted && sorted->map_id == map_.id) view.built_in = std::move(sorted);
-}
-
-OrderBook::Choice OrderBook::fromSidecar(const std::string& view_id, double now) {
-  ViewOrders& view = views_[view_id];
-  if (view.cameras.empty() || !view.sidecar) return {};
-  takeSorted(view_id, view);
-  if (view.sidecar->revision == map_.revision) {
-    view.drawn = view.sidecar;
-  } else {
-    request(view_id, view, view.sidecar);
-    if (view.built_in) view.drawn = view.built_in;
-  }
-  return chosen(view, view.drawn, now);
-}
-
-OrderBook::Choice OrderBook::builtIn(const std::string& view_id, double now) {
-  ViewOrders& view = views_[view_id];
-  if (view.cameras.empty()) return {};
-  takeSorted(view_id, view);
-  request(view_id, view, nullptr);
-  if (view.built_in) view.drawn = view.built_in;
-  return chosen(view, view.drawn, now);
-}
-
-OrderBook::Choice OrderBook::received(const std::string& view_id, double now) const {
+OrderBook::Choice OrderBook::newest(const std::string& view_id, double now) const {
   const auto found = views_.find(view_id);
   if (found == views_.end()) return {};
-  const OrderPtr& order = found->second.sidecar;
+  const ViewOrders& view = found->second;
+  const OrderPtr& order = view.newest;
   if (!order || order->revision != map_.revision) return {};
-  const Choice choice = chosen(found->second, order, now);
-  return choice.age > kPatience ? Choice{} : choice;
-}
-
-OrderBook::Choice OrderBook::chosen(const ViewOrders& view, const OrderPtr& order,
-                                    double now) const {
-  Choice choice{order, order && fresh(view, *order), 0};
-  if (!order || choice.fresh) return choice;
+  if (fresh(view, *order)) return {order, true, 0};
   // The order is old since the first camera after the one that it answers.
-  for (const Camera& camera : view.cameras) {
-    if (camera.sequence <= order->sequence) continue;
-    choice.age = now - camera.time;
-    break;
-  }
-  return choice;
-}
-
-OrderBook::Choice OrderBook::sortNow(const std::string& view_id) {
-  ViewOrders& view = views_[view_id];
-  if (view.cameras.empty()) return {};
-  const Camera& camera = view.cameras.back();
-  view.drawn = view.built_in = built_in_.sortNow(view_id, camera.sequence, camera.camera);
-  return {view.drawn, true, 0};
-}
-
-void OrderBook::forget(const std::string& view_id) {
-  views_.erase(view_id);
-  built_in_.forget(view_id);
+  const auto next = std::find_if(view.cameras.begin(), view.cameras.end(), [&](const auto& camera) {
+    return camera.sequence > order->sequence;
+  });
+  const double age = next == view.cameras.end() ? 0 : now - next->time;
+  return age > kPatience ? Choice{} : Choice{order, false, age};
 }
 
 }  // namespace rosplat

@@ -240,7 +240,6 @@ void defineRendering(py::module_& module) {
   py::enum_<OrderSource>(module, "OrderSource")
       .value("AUTO", OrderSource::kAuto)
       .value("SIDECAR", OrderSource::kSidecar)
-      .value("BUILT_IN", OrderSource::kBuiltIn)
       .value("OFF", OrderSource::kOff);
   py::enum_<Rasterizer>(module, "Rasterizer")
       .value("AUTO", Rasterizer::kAuto)

@@ -124,10 +124,6 @@ CHARTS = (
         "chain-latency", "chain", "pose to picture", "From pose to picture", "time [ms]",
         at_rate,
     ),
-    Chart(
-        "growth-fps", "growth", "frame rate", "Frame rate as the map grows", "frames a second",
-        parameter("backend"), log=False, band=False,
-    ),
 )  # fmt: skip
 
 

@@ -49,7 +49,6 @@ class Subject:
 
     about: str
     needs_ros: bool = False
-    curve: bool = False  # measured at many numbers of splats, of which a table shows the last
 
 
 SUBJECTS = {
@@ -81,7 +80,6 @@ SUBJECTS = {
     ),
     "network": Subject("orders over a line of 1 Gbit/s; needs root and iproute2", needs_ros=True),
     "chain": Subject("from pose to picture through publisher, sorter and viewer", needs_ros=True),
-    "growth": Subject("frame rate and memory while a map grows", curve=True),
 }
 
 
@@ -156,10 +154,7 @@ def _measure(arguments: list[str], console: Console) -> int:
             failed = True
         finally:
             if recorder.records:
-                shown = recorder.records
-                if subject.curve:
-                    shown = last_of_each(shown)
-                console.print(*tables(shown))
+                console.print(*tables(recorder.records))
                 console.print(f"wrote {recorder.path}", markup=False, soft_wrap=True)
                 _chart(recorder.records, options.out, console)
     return int(failed)
@@ -209,7 +204,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--backends", nargs="+", default=[], metavar="NAME",
         help=f"of the sorter: {', '.join(BACKENDS)}; or the viewer itself: {live.GPU} (chain, "
-        f"growth, frame), {live.PROCESSOR} (chain), {live.BUILT_IN} (growth, frame); default all",
+        f"frame), {live.PROCESSOR} (chain); default all",
     )  # fmt: skip
     parser.add_argument(
         "--variants", nargs="+", default=[], metavar="NAME",
@@ -275,12 +270,6 @@ def follow(events: Iterator[Event], recorder: Recorder, name: str, console: Cons
                 progress.console.print(f"[yellow]skipped: {skipped}", soft_wrap=True)
             else:
                 recorder.add(event)
-
-
-def last_of_each(records: list[Record]) -> list[Record]:
-    """The last of each set of records that differ in the number of splats alone."""
-    found = {(record.name, record.scene, *record.parameters.items()): record for record in records}
-    return list(found.values())
 
 
 def tables(records: list[Record]) -> Iterator[Table]:

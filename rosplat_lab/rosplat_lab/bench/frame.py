@@ -63,21 +63,17 @@ def variants() -> dict[str, Variant]:
 @dataclass(frozen=True)
 class Order:
     """Whose order frames have. backend: what sorts, as `--backends` names it. given: each camera
-    gets a sorter's order. waits: the frame sorts and waits for its order."""
+    gets a sorter's order."""
 
     backend: str
     settings: dict[str, Any] = field(default_factory=dict)
     given: bool = False
-    waits: bool = False
 
 
 ON_CARD = "sorted in the frame, GPU"
 ORDERS = {
     # What a frame costs beside sorting.
     "given": Order("native", {"order": "SIDECAR"}, given=True),
-    "sorted in the frame, CPU": Order(live.BUILT_IN, {"order": "BUILT_IN"}, waits=True),
-    # The order is that of a camera some frames ago.
-    "sorted beside it, CPU": Order(live.BUILT_IN, {"order": "BUILT_IN"}),
     ON_CARD: Order(live.GPU),
 }
 
@@ -303,7 +299,7 @@ class Bench(renderers.DisplayRenderer):
                 self.give(orders[which])
 
             def draw() -> None:
-                reports.append(self.view.draw(sort_now=order.waits))
+                reports.append(self.view.draw())
                 self.finish()
 
             return milliseconds(draw)

@@ -23,7 +23,6 @@ from rosplat_sorter.backends import BACKENDS, Unavailable, open_backend
 GPU = "gpu"  # the viewer's GPU sorts, no sorter runs
 PROCESSOR = "processor"  # the viewer's rasteriser sorts, without a graphics card and a sorter
 SAMPLE = 0.2  # between looks at the processes' memory [s]
-BUILT_IN = "built-in"  # the viewer sorts by itself, no sorter runs
 ENCODINGS = ("inline", "packed", "shared memory")  # of SplatOrder, by number
 START_TIMEOUT = 300.0  # until the first frame of a complete map [s]
 
@@ -60,7 +59,7 @@ def watch(
     """Runs the three until `until`, called now and then, returns that it has seen enough.
 
     publisher: an executable of rosplat_tools and its arguments. backend: of the sorter, or
-    BUILT_IN, GPU or PROCESSOR. rate: at which the camera turns [Hz]. begin: called when all three
+    GPU or PROCESSOR. rate: at which the camera turns [Hz]. begin: called when all three
     run. line: the viewer runs at its far end, the others at the near one. Raises ProcessError if
     one of them ends by itself.
     """
@@ -131,7 +130,7 @@ def has_ros() -> bool:
 
 def order_source(backend: str) -> str:
     """The OrderSource by which a viewer draws this backend's orders, and nobody else's."""
-    return {BUILT_IN: "BUILT_IN", GPU: "AUTO", PROCESSOR: "AUTO"}.get(backend, "SIDECAR")
+    return "AUTO" if backend in (GPU, PROCESSOR) else "SIDECAR"
 
 
 def is_answered(frame: Frame) -> bool:
@@ -179,7 +178,7 @@ def _after(reached: Callable[[Frame], bool], seconds: float) -> Callable[[Watche
 
 
 def backends(asked: Sequence[str], *own: str) -> tuple[list[str], list[records.Skipped]]:
-    """Backends that run here, and why others don't; own: the viewer's BUILT_IN, GPU, PROCESSOR.
+    """Backends that run here, and why others don't; own: the viewer's GPU, PROCESSOR.
 
     A backend that needs a GPU runs with an NVIDIA one, or where it is asked for by name. Raises
     SceneError for an unknown name.

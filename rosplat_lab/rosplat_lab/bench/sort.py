@@ -81,7 +81,7 @@ def methods(
     """By name, functions that make the ways. backends: of the sorter; empty: all, and others."""
     found: list[tuple[str, Callable[[], list[Way]]]] = []
     for name in backends or tuple(BACKENDS):
-        if name in (live.BUILT_IN, live.GPU, live.PROCESSOR):
+        if name in (live.GPU, live.PROCESSOR):
             continue  # the viewer's, which `frame` measures
         if name not in BACKENDS:
             raise SceneError(f"unknown backend '{name}', known are {', '.join(BACKENDS)}")

@@ -231,7 +231,7 @@ class Viewer(Node):
         return view_id
 
     def _ask(self, camera: ViewCamera) -> None:
-        wanted = self.renderer.wants_orders()
+        wanted = self._wants_orders()
         if not wanted and not self._views_followed():
             self._published = 0.0  # the next one that is wanted is asked for at once
             return
@@ -243,6 +243,9 @@ class Viewer(Node):
         self._views.publish(camera)
         camera.sequence = number
         self._published = time.monotonic()
+
+    def _wants_orders(self) -> bool:
+        return bool(self.renderer.settings.order == OrderSource.SIDECAR)
 
     def _views_followed(self) -> bool:
         """Whether others than sorters hear the views, a streaming publisher for example."""
@@ -258,7 +261,7 @@ class Viewer(Node):
         deadline = time.monotonic() + order_timeout
         answered = False
         while (
-            self.renderer.wants_orders()
+            self._wants_orders()
             and not (answered := self.renderer.has_order(view_id))
             and time.monotonic() < deadline
         ):

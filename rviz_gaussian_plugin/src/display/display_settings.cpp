@@ -23,13 +23,20 @@ using namespace rviz_common::properties;
 
 constexpr int kAsPublished = -1;
 
+// A text that is no option, as of an older configuration, becomes the preset.
 template <typename Value>
 EnumProperty* choice(const char* name, const char* preset, const char* description,
                      Property* parent,
                      std::initializer_list<std::pair<std::string, Value>> options) {
   auto* property = new EnumProperty(name, preset, description, parent);
-  for (const auto& [text, value] : options)
-    property->addOption(QString::fromStdString(text), static_cast<int>(value));
+  QStringList known;
+  for (const auto& [text, value] : options) {
+    known << QString::fromStdString(text);
+    property->addOption(known.last(), static_cast<int>(value));
+  }
+  QObject::connect(property, &Property::changed, property, [property, preset, known] {
+    if (!known.contains(property->getString())) property->setString(preset);
+  });
   return property;
 }
 
@@ -98,12 +105,10 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
   order_ = choice<OrderSource>(
       "Order Source", "Auto",
       "Which depth order is drawn. Auto: the rasterizer's own. Sidecar: the sorter's, while it "
-      "answers. Built-in: that of a thread of rviz2, which may be late. Off: the order of the "
-      "slots, which shows what sorting is for.",
+      "answers in time. Off: the order of the slots, which shows what sorting is for.",
       display,
       {{"Auto", OrderSource::kAuto},
        {"Sidecar", OrderSource::kSidecar},
-       {"Built-in", OrderSource::kBuiltIn},
        {"Off", OrderSource::kOff}});
   rasterizer_ = choice<Rasterizer>(
       "Rasterizer", "Auto",

@@ -288,7 +288,7 @@ std::string GaussianDisplay::onView(const Ogre::Viewport* viewport, const SplatC
   if (!placed_) return "";
   const bool main =
       viewport == context_->getViewManager()->getCurrent()->getCamera()->getViewport();
-  const bool orders_wanted = cloud_->scene().wantsOrders(cloud_->settings());
+  const bool orders_wanted = cloud_->settings().order == OrderSource::kSidecar;
   return views_->draw(viewport, camera, main, orders_wanted, publish_pose_->getBool()).id();
 }
 

@@ -9,7 +9,6 @@
 
 #include "rosplat_core/map/gaussian_batch.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
-#include "rosplat_core/order/built_in_sorter.hpp"
 #include "rosplat_core/order/order_slots.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
 

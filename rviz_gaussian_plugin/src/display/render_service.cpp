@@ -52,7 +52,7 @@ void RenderService::serve() {
       return;
     }
     SplatScene& scene = cloud_.scene();
-    const bool wanted = scene.wantsOrders(cloud_.settings());
+    const bool wanted = cloud_.settings().order == OrderSource::kSidecar;
     view_.setOrdersWanted(wanted);
     const bool answered = wanted && scene.answered(view_.id(), cloud_.settings());
     if (wanted && !answered && Clock::now() < deadline()) {

@@ -126,7 +126,6 @@ PYBIND11_MODULE(_offscreen, module) {
                              [](OffscreenRenderer& r) { return r.order_reader.key(); })
       .def("set_box", &OffscreenRenderer::setBox, "centre"_a, "size"_a, "opacity"_a = 1.0f)
       .def_readwrite("settings", &OffscreenRenderer::settings)
-      .def("wants_orders", [](OffscreenRenderer& r) { return r.scene().wantsOrders(r.settings); })
       .def(
           "has_order",
           [](OffscreenRenderer& r, const std::string& id) {

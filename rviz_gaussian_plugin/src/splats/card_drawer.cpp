@@ -2,7 +2,6 @@
 
 #include <utility>
 
-#include "rosplat_core/threads/clock.hpp"
 
 namespace rosplat {
 
@@ -40,37 +39,19 @@ void CardDrawer::take(const EditQueue::Waiting& arrival) {
     if (!more) settle();
     return;
   }
-  auto for_sorter = EditQueue::node(edit, state);
   map_.torn = true;
   card_->apply(edit, renderer_->clock());
-  sorter_.apply(std::move(for_sorter));
   map_ = std::move(after);
 }
 
 void CardDrawer::settle() {
   if (!next_card_) return;
-  sorter_.rest();
   card_ = std::exchange(next_card_, nullptr);
   map_ = std::move(next_map_);
 }
 
 void CardDrawer::hold(const GaussianEdit& page) {
   card_->apply(std::make_shared<const GaussianEdit>(page), renderer_->clock());
-}
-
-std::optional<OrderBook::Choice> CardDrawer::choose(OrderBook& book, const std::string& view_id,
-                                                    OrderSource source, bool sort_now) {
-  switch (source) {
-    case OrderSource::kAuto:
-      return {};
-    case OrderSource::kOff:
-      return OrderBook::Choice{unsorted(), false, 0};
-    case OrderSource::kSidecar:
-      return book.fromSidecar(view_id, now());
-    case OrderSource::kBuiltIn:
-      return sort_now ? book.sortNow(view_id) : book.builtIn(view_id, now());
-  }
-  return {};
 }
 
 OrderPtr CardDrawer::unsorted() {
@@ -86,6 +67,14 @@ OrderPtr CardDrawer::unsorted() {
   return unsorted_ = std::move(order);
 }
 
+// The order that isn't the card's own, if any.
+OrderPtr CardDrawer::orderOf(const Look& look, bool alone) {
+  if (alone && look.settings.order == OrderSource::kOff) {
+    return static_cast<CardDrawer&>(*look.drawer).unsorted();
+  }
+  return look.order.order;
+}
+
 bool CardDrawer::drawsWith(const Drawer& other) {
   const auto* const on_card = dynamic_cast<const CardDrawer*>(&other);
   return on_card && on_card->renderer_ == renderer_;
@@ -96,7 +85,7 @@ std::vector<CardView> CardDrawer::views(const std::vector<Look>& looks) {
   for (const Look& look : looks) {
     const auto& of = static_cast<const CardDrawer&>(*look.drawer);
     views.push_back({look.view_id, of.card_, look.camera, look.settings,
-                     look.order ? look.order->order : nullptr, of.map_});
+                     orderOf(look, looks.size() == 1), of.map_});
   }
   return views;
 }
@@ -112,18 +101,18 @@ std::vector<FrameReport> CardDrawer::draw(const std::vector<Look>& looks, Canvas
     report.detail_error = drawn[i].detail_error;
     report.rasterizer = "tiles";
     report.profile = renderer_->profile();
-    if (!looks[i].order || !looks[i].order->order) {
+    const OrderPtr order = orderOf(looks[i], looks.size() == 1);
+    if (!order) {
       report.splats = drawn[i].drawn;
       report.order_source = "gpu";
       report.order_fresh = true;
       const auto sort = report.profile.find("sort");
       if (sort != report.profile.end()) report.sort_time = sort->second;
     } else {
-      const auto& [order, fresh, age] = *looks[i].order;
       report.splats = order->slots.size();
       report.order_source = order->source;
-      report.order_fresh = fresh;
-      report.order_age = age;
+      report.order_fresh = looks[i].order.fresh;
+      report.order_age = looks[i].order.age;
       report.sort_time = order->sort_time;
     }
   }

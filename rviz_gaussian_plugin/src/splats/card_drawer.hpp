@@ -7,7 +7,6 @@
 
 #include "drawer.hpp"
 #include "rosplat_core/map/arrivals.hpp"
-#include "rosplat_core/order/built_in_sorter.hpp"
 #include "splat_renderer.hpp"
 
 namespace rosplat {
@@ -15,9 +14,8 @@ namespace rosplat {
 // A map on the graphics card.
 class CardDrawer : public Drawer {
  public:
-  // The sorter gets every edit that is uploaded. It must outlive the drawer.
-  CardDrawer(std::shared_ptr<SplatRenderer> renderer, Arrivals::Taker taker, BuiltInSorter& sorter)
-      : renderer_(std::move(renderer)), taker_(std::move(taker)), sorter_(sorter) {}
+  CardDrawer(std::shared_ptr<SplatRenderer> renderer, Arrivals::Taker taker)
+      : renderer_(std::move(renderer)), taker_(std::move(taker)) {}
 
   DrawnBy by() const override { return DrawnBy::kCard; }
 
@@ -30,10 +28,6 @@ class CardDrawer : public Drawer {
   std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const override {
     return renderer_->readSlots(*card_, slots);
   }
-
-  bool wantsOrders(OrderSource source) override { return source == OrderSource::kSidecar; }
-  std::optional<OrderBook::Choice> choose(OrderBook& book, const std::string& view_id,
-                                          OrderSource source, bool sort_now) override;
 
   bool drawsWith(const Drawer& other) override;
   void begin(const std::vector<Look>& looks, Canvas canvas) override {
@@ -62,11 +56,11 @@ class CardDrawer : public Drawer {
   void hold(const MapState& map) override { map_ = map; }
   void take(const EditQueue::Waiting& arrival);
   OrderPtr unsorted();
+  static OrderPtr orderOf(const Look& look, bool alone);
   static std::vector<CardView> views(const std::vector<Look>& looks);
 
   std::shared_ptr<SplatRenderer> renderer_;
   Arrivals::Taker taker_;
-  BuiltInSorter& sorter_;
   std::shared_ptr<CardMap> card_ = renderer_->makeMap();
   MapState map_;
   std::shared_ptr<CardMap> next_card_;  // replaces card_ once it is whole

@@ -4,7 +4,6 @@
 #include <cstdint>
 #include <functional>
 #include <map>
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -40,7 +39,7 @@ struct FrameReport {
 // The memory of a map where it is drawn.
 struct DrawnBytes {
   std::size_t map = 0, levels = 0;
-  std::size_t gpu = 0, host = 0;                // of both, uploads and the built-in sorter
+  std::size_t gpu = 0, host = 0;                // of both, and uploads
   std::size_t shared_gpu = 0, shared_host = 0;  // further memory, shared with other maps
 };
 
@@ -57,7 +56,7 @@ class Drawer {
     std::string view_id;
     SplatCamera camera;
     RenderSettings settings;
-    std::optional<OrderBook::Choice> order;  // none: the drawer's own
+    OrderBook::Choice order;  // a sidecar's; without one, the drawer sorts
   };
 
   virtual ~Drawer() = default;
@@ -80,13 +79,6 @@ class Drawer {
   virtual void forEachPage(const std::function<void(const GaussianEdit&)>& take) const = 0;
   // The values of slots as they are drawn, in the map's frame.
   virtual std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const = 0;
-
-  // Whether the drawer uses the orders of sidecars.
-  virtual bool wantsOrders(OrderSource source) = 0;
-  // Returns the order for a map that is alone in its picture; see Look::order. sort_now: sorts at
-  // once instead of waiting for an order.
-  virtual std::optional<OrderBook::Choice> choose(OrderBook& book, const std::string& view_id,
-                                                  OrderSource source, bool sort_now) = 0;
 
   // Whether both maps can be in one picture, sorted together.
   virtual bool drawsWith(const Drawer& other) = 0;

@@ -29,14 +29,6 @@ MapState ProcessorDrawer::reachable() const {
   return taker_.from().error().empty() ? taker_.from().state() : painted_->state();
 }
 
-// A sidecar's order is drawn if asked for; else the painter finds its own.
-std::optional<OrderBook::Choice> ProcessorDrawer::choose(OrderBook& book,
-                                                         const std::string& view_id,
-                                                         OrderSource source, bool) {
-  if (source != OrderSource::kSidecar) return {};
-  return book.received(view_id, now());
-}
-
 bool ProcessorDrawer::drawsWith(const Drawer& other) {
   const auto* const painted = dynamic_cast<const ProcessorDrawer*>(&other);
   return painted && painted->renderer_ == renderer_;
@@ -48,7 +40,7 @@ ViewedMap ProcessorDrawer::view(const Look& look) {
           of.painted_,
           look.camera,
           look.settings,
-          look.order ? look.order->order : nullptr,
+          look.order.order,
           of.reachable()};
 }
 
@@ -96,8 +88,8 @@ FrameReport ProcessorDrawer::describe(const Look& look, const Painting& painting
   if (of.order) {
     report.splats = of.order->slots.size();
     report.order_source = of.order->source;
-    report.order_fresh = exact && look.order && look.order->fresh;
-    report.order_age = look.order ? look.order->age : report.picture_age;
+    report.order_fresh = exact && look.order.fresh;
+    report.order_age = look.order.order ? look.order.age : report.picture_age;
     report.sort_time = of.order->sort_time;
   } else if (layer->unsorted) {
     report.order_source = "nobody";

@@ -28,10 +28,6 @@ class ProcessorDrawer : public Drawer {
     return painted_->read(slots);
   }
 
-  bool wantsOrders(OrderSource source) override { return source == OrderSource::kSidecar; }
-  std::optional<OrderBook::Choice> choose(OrderBook& book, const std::string& view_id,
-                                          OrderSource source, bool sort_now) override;
-
   bool drawsWith(const Drawer& other) override;
   bool ready(const Look& look) override;
   std::vector<FrameReport> draw(const std::vector<Look>& looks, Canvas canvas,

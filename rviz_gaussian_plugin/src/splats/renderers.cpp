@@ -25,9 +25,8 @@ std::shared_ptr<SplatRenderer> Renderers::onCard() { return shared(card_, shader
 
 std::shared_ptr<SoftwareRenderer> Renderers::onProcessor() { return shared(processor_, shaders_); }
 
-std::unique_ptr<Drawer> Renderers::makeDrawer(DrawnBy by, const Arrivals::Taker& taker,
-                                              BuiltInSorter& sorter) {
-  if (by == DrawnBy::kCard) return std::make_unique<CardDrawer>(onCard(), taker, sorter);
+std::unique_ptr<Drawer> Renderers::makeDrawer(DrawnBy by, const Arrivals::Taker& taker) {
+  if (by == DrawnBy::kCard) return std::make_unique<CardDrawer>(onCard(), taker);
   return std::make_unique<ProcessorDrawer>(onProcessor(), taker);
 }
 

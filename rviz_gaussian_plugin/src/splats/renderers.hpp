@@ -6,7 +6,6 @@
 #include "drawer.hpp"
 #include "gl/shaders.hpp"
 #include "rosplat_core/map/arrivals.hpp"
-#include "rosplat_core/order/built_in_sorter.hpp"
 #include "software_renderer.hpp"
 #include "splat_renderer.hpp"
 
@@ -24,8 +23,7 @@ class Renderers {
   std::shared_ptr<SplatRenderer> onCard();
   std::shared_ptr<SoftwareRenderer> onProcessor();
   // Makes a Drawer of an empty map that draws with one of these renderers.
-  std::unique_ptr<Drawer> makeDrawer(DrawnBy by, const Arrivals::Taker& taker,
-                                     BuiltInSorter& sorter);
+  std::unique_ptr<Drawer> makeDrawer(DrawnBy by, const Arrivals::Taker& taker);
 
  private:
   ShaderSource shaders_;

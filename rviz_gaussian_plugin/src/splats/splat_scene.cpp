@@ -16,12 +16,6 @@ bool same(const MapState& a, const MapState& b) {
   return a.edits == b.edits && a.pulled == b.pulled;
 }
 
-// After a vain wait for a sidecar, the best source here takes its place.
-OrderSource sourceOf(const RenderSettings& settings, bool sort_now) {
-  const bool in_vain = sort_now && settings.order == OrderSource::kSidecar;
-  return in_vain ? OrderSource::kAuto : settings.order;
-}
-
 }  // namespace
 
 SplatScene::~SplatScene() {
@@ -92,8 +86,7 @@ void SplatScene::prepare(const RenderSettings& settings) {
 // The next Drawer takes over all that the present one holds; if that throws, the present one stays.
 void SplatScene::exchange(DrawnBy by) {
   const Arrivals::Taker taker = arrivals_->makeTaker();
-  std::unique_ptr<Drawer> next = renderers_->makeDrawer(by, taker, sorter_);
-  sorter_.rest();
+  std::unique_ptr<Drawer> next = renderers_->makeDrawer(by, taker);
   arrivals_->handOver(taker, [&] {
     if (drawer_) next->hold(*drawer_);
   });
@@ -119,32 +112,10 @@ void SplatScene::upload(const RenderSettings& settings) {
   update(false);
 }
 
-// Feeds the map as it is drawn. Edits that still wait reach the sorter as they are uploaded.
-void SplatScene::feedSorter() {
-  const MapState map = drawer_->map();
-  const auto give = [&](GaussianEdit&& edit) {
-    edit.round = map.round;
-    edit.revision = map.revision;
-    edit.capacity = map.capacity;
-    edit.bands = {};
-    edit.channels = {};
-    sorter_.apply(EditQueue::node(std::make_shared<GaussianEdit>(std::move(edit)), map));
-  };
-  GaussianEdit nothing;
-  nothing.clear = true;
-  give(std::move(nothing));
-  drawer_->forEachPage([&give](const GaussianEdit& page) { give(GaussianEdit(page)); });
-}
-
 void SplatScene::setCamera(const std::string& view_id, std::uint64_t sequence,
                            const SplatCamera& camera) {
   cameras_[view_id] = camera;
   book_.setCamera(view_id, sequence, camera, now());
-}
-
-bool SplatScene::wantsOrders(const RenderSettings& settings) {
-  prepare(settings);
-  return drawer_->wantsOrders(settings.order);
 }
 
 bool SplatScene::answered(const std::string& view_id, const RenderSettings& settings) {
@@ -156,8 +127,8 @@ bool SplatScene::answered(const std::string& view_id, const RenderSettings& sett
 Drawer::Look SplatScene::look(const InView& map, bool sort_now, bool alone) {
   update(sort_now);
   Drawer::Look look{drawer_.get(), map.view_id, cameras_.at(map.view_id), map.settings, {}};
-  const OrderSource source = sourceOf(map.settings, sort_now);
-  if (alone) look.order = drawer_->choose(book_, map.view_id, source, sort_now);
+  const bool from_sidecar = alone && !sort_now && map.settings.order == OrderSource::kSidecar;
+  if (from_sidecar) look.order = book_.newest(map.view_id, now());
   return look;
 }
 
@@ -261,12 +232,6 @@ void SplatScene::forget(const std::string& view_id) {
 std::string SplatScene::error() const {
   const std::string missing = arrivals_->error();
   return missing.empty() || refusal_.empty() ? refusal_ + missing : refusal_ + "; " + missing;
-}
-
-DrawnBytes SplatScene::bytes() const {
-  DrawnBytes bytes = drawer_ ? drawer_->bytes() : DrawnBytes{};
-  bytes.host += sorter_.bytes();
-  return bytes;
 }
 
 }  // namespace rosplat

@@ -15,7 +15,6 @@
 #include "renderers.hpp"
 #include "rosplat_core/map/arrivals.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
-#include "rosplat_core/order/built_in_sorter.hpp"
 #include "rosplat_core/order/order.hpp"
 #include "rosplat_core/order/order_book.hpp"
 #include "rosplat_core/threads/freed_memory.hpp"
@@ -58,8 +57,6 @@ class SplatScene {
   void prepare(const RenderSettings& settings);
   // Render thread: uploads some of the waiting edits of a map that no view shows. Throws gl::Error.
   void upload(const RenderSettings& settings);
-  // Render thread: whether a sidecar's orders are drawn. Throws gl::Error.
-  bool wantsOrders(const RenderSettings& settings);
   // Render thread: uploads all waiting edits. Returns whether the sidecar has answered the view's
   // newest camera for the whole map. Throws gl::Error.
   bool answered(const std::string& view_id, const RenderSettings& settings);
@@ -75,8 +72,7 @@ class SplatScene {
   // the processor. If not, begins the picture. Throws gl::Error.
   bool ready(const std::string& view_id, const RenderSettings& settings, bool sort_now);
   // Render thread: uploads waiting edits, chooses an order and draws into the current framebuffer.
-  // sort_now: doesn't wait for an order but sorts here, on the graphics card if there is one,
-  // unless the settings name another source. Throws gl::Error.
+  // sort_now: draws all edits, and no sidecar's order. Throws gl::Error.
   const FrameReport& draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
                           bool sort_now = false, const Surroundings& around = {});
   // A picture that was begun.
@@ -129,7 +125,7 @@ class SplatScene {
   std::vector<float> readColor() const { return drawer_->readColor(); }
   std::vector<float> readDepth() { return drawer_->readDepth(); }
 
-  DrawnBytes bytes() const;
+  DrawnBytes bytes() const { return drawer_ ? drawer_->bytes() : DrawnBytes{}; }
 
  private:
   // A view's recent frames.
@@ -143,7 +139,6 @@ class SplatScene {
   Drawer::Look look(const InView& map, bool sort_now, bool alone);
   static std::vector<Drawer::Look> touched(const std::vector<InView>& maps);
   void keepPace(const std::string& view_id, FrameReport& report);
-  void feedSorter();
 
   struct Trim {
     ~Trim() { returnFreedMemory(); }
@@ -158,8 +153,7 @@ class SplatScene {
 
   // Render thread only.
   std::shared_ptr<Renderers> renderers_;
-  BuiltInSorter sorter_{pool_, [this] { feedSorter(); }};
-  OrderBook book_{sorter_};
+  OrderBook book_;
   MapState booked_;  // the state that book_ takes orders of
   std::map<std::string, SplatCamera> cameras_;
   std::map<std::string, FrameReport> reports_;

@@ -77,7 +77,7 @@ class DepthOrder {
   template <typename Allocate>
   void sort(const SortView& view, const float* positions, const float* extents, std::size_t count,
             const Allocate& allocate) {
-    sort(Splats{&view, positions, extents, nullptr, nullptr, nullptr, count}, allocate);
+    sort(Splats{&view, positions, extents, nullptr, count}, allocate);
   }
 
   // The same for the slots of pages, which must ascend. positions and extents: by row, as in
@@ -85,25 +85,7 @@ class DepthOrder {
   template <typename Allocate>
   void sort(const SortView* views, const float* positions, const float* extents,
             const SortPage* pages, std::size_t page_count, const Allocate& allocate) {
-    sort(Splats{views, positions, extents, nullptr, nullptr, pages, page_count * SortPage::kSlots},
-         allocate);
-  }
-
-  // The same for the count given slots, which must ascend. positions, extents and view_of: a row
-  // for each slot. view_of: index of the slot's view.
-  const std::vector<std::uint32_t>& sort(const SortView* views, const float* positions,
-                                         const float* extents, const std::uint32_t* slots,
-                                         const std::uint32_t* view_of, std::size_t count) {
-    sort(Splats{views, positions, extents, slots, view_of, nullptr, count}, Keep{order_});
-    return order_;
-  }
-
-  // Frees the workspace.
-  void release() {
-    found_ = {};
-    dealt_ = {};
-    for (ScratchBuffer<Entry>& scratch : scratch_) scratch = {};
-    order_ = {};
+    sort(Splats{views, positions, extents, pages, page_count * SortPage::kSlots}, allocate);
   }
 
   // Returns the depth along the optical axis that sort() orders by [m].
@@ -122,21 +104,12 @@ class DepthOrder {
   static constexpr std::size_t kMostScratch = 1u << 17;  // entries, in L2
   static constexpr unsigned kDigitBits = 9;              // 512 targets stay in L1 and its TLB
 
-  // The count slots to sort: those of a list if `slots` is set, or of `pages`, else from 0 on.
+  // The count slots to sort: those of `pages`, else from 0 on.
   struct Splats {
     const SortView& view(std::size_t i) const {
-      if (slots) return views[view_of[i]];
       return pages ? views[pages[i / SortPage::kSlots].view] : *views;
     }
-    // How many splats from i on, at most `most`, have neighbouring rows and the same view.
-    std::size_t alike(std::size_t i, std::size_t most) const {
-      if (!slots) return std::min(most, kBlock);  // blocks begin at multiples of their size
-      std::size_t size = 1;
-      while (size < std::min(most, kBlock) && view_of[i + size] == view_of[i]) ++size;
-      return size;
-    }
     std::uint32_t slot(std::size_t i) const {
-      if (slots) return slots[i];
       const std::size_t first =
           pages ? pages[i / SortPage::kSlots].first_slot : i - i % SortPage::kSlots;
       return static_cast<std::uint32_t>(first + i % SortPage::kSlots);
@@ -150,8 +123,6 @@ class DepthOrder {
     const SortView* views;
     const float* positions;
     const float* extents;
-    const std::uint32_t* slots;
-    const std::uint32_t* view_of;
     const SortPage* pages;
     std::size_t count;
   };
@@ -325,14 +296,14 @@ class DepthOrder {
     Entry* out = entries + part.begin;
     const Entry* counted = out;
     part.buckets.fill(0);
-    for (std::size_t first = part.begin, size; first < part.end; first += size) {
-      size = splats.alike(first, part.end - first);
+    for (std::size_t first = part.begin; first < part.end; first += kBlock) {
+      const std::size_t size = std::min(kBlock, part.end - first);  // in one page, of one view
       const std::size_t row = splats.row(first);
       look(splats.view(first), splats.positions + 3 * row, splats.extents + row, size, keys.data(),
            seen.data());
       const std::uint32_t slot = splats.slot(first);
       for (std::size_t i = 0; i < size; ++i) {
-        *out = {keys[i], splats.slots ? splats.slots[first + i] : slot + std::uint32_t(i)};
+        *out = {keys[i], slot + std::uint32_t(i)};
         out += seen[i];
       }
       for (; counted < out; ++counted) ++part.buckets[bucketOf(counted->key)];

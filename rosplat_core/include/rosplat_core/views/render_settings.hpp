@@ -25,8 +25,7 @@ inline bool drawsBalls(DrawMode mode) {
 // Which sorter's order is drawn.
 enum class OrderSource {
   kAuto,     // the rasterizer's, which sorts each picture
-  kSidecar,  // a sorter's
-  kBuiltIn,  // that of a thread of this process, which may be late
+  kSidecar,  // a sorter's, while it is of the map as it is and young; else the rasterizer's
   kOff,      // nobody's: by slots
 };
 
