@@ -17,6 +17,8 @@
 #include <stdexcept>
 #include <tuple>
 
+#include "gl/driver.hpp"
+#include "gl/scopes.hpp"
 #include "gl/shaders.hpp"
 
 namespace rosplat {

@@ -13,7 +13,7 @@
 #include <utility>
 #include <vector>
 
-#include "gl/gl_objects.hpp"
+#include "gl/program.hpp"
 #include "rosplat_core/order/order_slots.hpp"
 #include "splat_cloud.hpp"
 

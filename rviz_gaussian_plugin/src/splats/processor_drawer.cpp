@@ -36,12 +36,7 @@ bool ProcessorDrawer::drawsWith(const Drawer& other) {
 
 ViewedMap ProcessorDrawer::view(const Look& look) {
   const auto& of = static_cast<const ProcessorDrawer&>(*look.drawer);
-  return {look.view_id,
-          of.painted_,
-          look.camera,
-          look.settings,
-          look.order.order,
-          of.reachable()};
+  return {look.view_id, of.painted_, look.camera, look.settings, look.order.order, of.reachable()};
 }
 
 std::vector<ViewedMap> ProcessorDrawer::views(const std::vector<Look>& looks) {

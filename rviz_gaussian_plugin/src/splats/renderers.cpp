@@ -1,6 +1,7 @@
 #include "renderers.hpp"
 
 #include "card_drawer.hpp"
+#include "gl/driver.hpp"
 #include "processor_drawer.hpp"
 
 namespace rosplat {

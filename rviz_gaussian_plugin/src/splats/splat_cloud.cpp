@@ -19,6 +19,8 @@
 #include <iterator>
 #include <limits>
 
+#include "gl/object.hpp"
+
 namespace rosplat {
 
 namespace {

@@ -5,6 +5,13 @@
 #include <limits>
 #include <utility>
 
+#include "gl/depth.hpp"
+#include "gl/driver.hpp"
+#include "gl/object.hpp"
+#include "gl/pixels.hpp"
+#include "gl/scopes.hpp"
+#include "gl/turn.hpp"
+
 namespace rosplat {
 
 namespace {

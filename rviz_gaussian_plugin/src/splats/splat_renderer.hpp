@@ -12,8 +12,10 @@
 #include <vector>
 
 #include "gl/canvas.hpp"
-#include "gl/gl_objects.hpp"
+#include "gl/program.hpp"
 #include "gl/shaders.hpp"
+#include "gl/stopwatch.hpp"
+#include "gl/target.hpp"
 #include "gpu/card_map.hpp"
 #include "gpu/frame.hpp"
 #include "gpu/radix_sort.hpp"

@@ -3,6 +3,10 @@
 #include <algorithm>
 #include <array>
 
+#include "gl/depth.hpp"
+#include "gl/driver.hpp"
+#include "gl/pixels.hpp"
+
 namespace rosplat {
 
 namespace {

@@ -3,7 +3,9 @@
 #include <functional>
 #include <vector>
 
-#include "gl/gl_objects.hpp"
+#include "gl/program.hpp"
+#include "gl/scopes.hpp"
+#include "gl/target.hpp"
 
 namespace rosplat {
 

@@ -3,6 +3,9 @@
 #include <algorithm>
 #include <string>
 
+#include "gl/driver.hpp"
+#include "gl/pixels.hpp"
+
 namespace rosplat {
 
 namespace {

@@ -4,7 +4,8 @@
 #include <vector>
 
 #include "gl/canvas.hpp"
-#include "gl/gl_objects.hpp"
+#include "gl/object.hpp"
+#include "gl/program.hpp"
 #include "gl/shaders.hpp"
 #include "rosplat_core/painter/picture_mesh.hpp"
 

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 
+#include "gl/buffer.hpp"
 #include "gl/constants.hpp"
+#include "gl/driver.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
 
 namespace rosplat {

@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "gl/gl_objects.hpp"
+#include "gl/program.hpp"
 
 namespace rosplat {
 

@@ -2,6 +2,9 @@
 
 #include <utility>
 
+#include "gl/driver.hpp"
+#include "gl/readback.hpp"
+
 namespace rosplat::gl {
 
 namespace {

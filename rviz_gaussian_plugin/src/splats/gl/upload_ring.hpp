@@ -8,7 +8,8 @@
 #include <cstring>
 #include <deque>
 
-#include "gl/gl_objects.hpp"
+#include "gl/buffer.hpp"
+#include "gl/object.hpp"
 
 namespace rosplat::gl {
 

@@ -2,6 +2,8 @@
 
 #include <new>
 
+#include "gl/driver.hpp"
+#include "gl/object.hpp"
 #include "gpu/slot_reader.hpp"
 
 namespace rosplat {

@@ -7,6 +7,7 @@
 #include <optional>
 #include <string>
 
+#include "gl/program.hpp"
 #include "gpu/card_levels.hpp"
 #include "gpu/slot_store.hpp"
 #include "rosplat_core/levels/detail.hpp"

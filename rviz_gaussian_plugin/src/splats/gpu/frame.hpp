@@ -4,7 +4,7 @@
 #include <array>
 #include <vector>
 
-#include "gl/gl_objects.hpp"
+#include "gl/stopwatch.hpp"
 #include "gpu/node_store.hpp"
 #include "gpu/slot_store.hpp"
 #include "rosplat_core/levels/cut.hpp"

@@ -2,7 +2,8 @@
 
 #include <cstddef>
 
-#include "gl/gl_objects.hpp"
+#include "gl/buffer.hpp"
+#include "gl/program.hpp"
 #include "gpu/tally.hpp"
 
 namespace rosplat {

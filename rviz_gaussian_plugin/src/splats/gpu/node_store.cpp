@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "gl/buffer.hpp"
 #include "rosplat_core/threads/in_parts.hpp"
 
 namespace rosplat {

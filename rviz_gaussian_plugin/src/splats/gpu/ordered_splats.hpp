@@ -5,7 +5,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "gl/gl_objects.hpp"
+#include "gl/buffer.hpp"
+#include "gl/program.hpp"
 #include "gl/shaders.hpp"
 #include "gpu/frame.hpp"
 #include "gpu/projection.hpp"

@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "gl/gl_objects.hpp"
+#include "gl/buffer.hpp"
 #include "gpu/frame.hpp"
 #include "gpu/slot_arenas.hpp"
 #include "rosplat_core/views/seen_group.hpp"

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "gl/driver.hpp"
 #include "gpu/view_block.hpp"
 #include "rosplat_core/views/channel_colouring.hpp"
 #include "rosplat_core/views/seen_group.hpp"

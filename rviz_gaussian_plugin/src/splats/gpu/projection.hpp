@@ -5,7 +5,9 @@
 #include <optional>
 #include <vector>
 
-#include "gl/gl_objects.hpp"
+#include "gl/buffer.hpp"
+#include "gl/program.hpp"
+#include "gl/readback.hpp"
 #include "gl/shaders.hpp"
 #include "gpu/frame.hpp"
 #include "gpu/group_counts.hpp"

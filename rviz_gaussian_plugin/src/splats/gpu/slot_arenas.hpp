@@ -5,7 +5,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "gl/gl_objects.hpp"
+#include "gl/buffer.hpp"
 #include "gl/upload_ring.hpp"
 #include "rosplat_core/map/slot_pages.hpp"
 

@@ -5,6 +5,8 @@
 #include <cstddef>
 #include <cstring>
 
+#include "gl/buffer.hpp"
+
 namespace rosplat {
 
 namespace {

@@ -5,7 +5,8 @@
 #include <optional>
 #include <vector>
 
-#include "gl/gl_objects.hpp"
+#include "gl/program.hpp"
+#include "gl/readback.hpp"
 #include "gl/shaders.hpp"
 #include "gpu/slot_store.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"

@@ -5,6 +5,9 @@
 #include <cstring>
 #include <utility>
 
+#include "gl/buffer.hpp"
+#include "gl/scopes.hpp"
+
 namespace rosplat {
 
 namespace {

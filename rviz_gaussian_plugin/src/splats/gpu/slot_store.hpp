@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "gl/program.hpp"
 #include "gpu/slot_arenas.hpp"
 #include "rosplat_core/levels/level_builder.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"

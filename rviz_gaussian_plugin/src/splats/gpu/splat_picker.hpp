@@ -4,9 +4,11 @@
 #include <cstdint>
 #include <vector>
 
+#include "gl/buffer.hpp"
 #include "gl/canvas.hpp"
-#include "gl/gl_objects.hpp"
+#include "gl/program.hpp"
 #include "gl/shaders.hpp"
+#include "gl/target.hpp"
 #include "gpu/ordered_splats.hpp"
 #include "gpu/tile_rasterizer.hpp"
 

@@ -4,7 +4,9 @@
 #include <array>
 #include <cstddef>
 
-#include "gl/gl_objects.hpp"
+#include "gl/buffer.hpp"
+#include "gl/program.hpp"
+#include "gl/readback.hpp"
 
 namespace rosplat {
 

@@ -5,6 +5,8 @@
 #include <initializer_list>
 #include <vector>
 
+#include "gl/driver.hpp"
+
 namespace rosplat {
 
 namespace {

@@ -2,8 +2,11 @@
 
 #include <cstddef>
 
-#include "gl/gl_objects.hpp"
+#include "gl/buffer.hpp"
+#include "gl/program.hpp"
 #include "gl/shaders.hpp"
+#include "gl/stopwatch.hpp"
+#include "gl/target.hpp"
 #include "gpu/group_counts.hpp"
 #include "gpu/ordered_splats.hpp"
 #include "gpu/picture_regions.hpp"

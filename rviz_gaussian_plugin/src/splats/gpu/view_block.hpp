@@ -3,7 +3,7 @@
 #include <array>
 #include <cstdint>
 
-#include "gl/gl_objects.hpp"
+#include "gl/buffer.hpp"
 #include "gpu/frame.hpp"
 
 namespace rosplat {

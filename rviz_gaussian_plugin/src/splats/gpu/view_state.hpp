@@ -3,8 +3,11 @@
 #include <cstddef>
 #include <functional>
 
-#include "gl/gl_objects.hpp"
+#include "gl/buffer.hpp"
+#include "gl/depth.hpp"
 #include "gl/shaders.hpp"
+#include "gl/stopwatch.hpp"
+#include "gl/target.hpp"
 #include "gpu/frame.hpp"
 #include "gpu/ordered_splats.hpp"
 #include "gpu/radix_sort.hpp"
