@@ -23,6 +23,7 @@ ROOMS = (
     "threads", "slots", "map", "views", "order", "occupancy", "levels", "raster", "refit",
     "painter", "python",
 )  # fmt: skip
+PLUGIN_ROOMS = ("splats/gl", "splats/gpu", "splats", "display")
 ELSEWHERE = re.compile(
     r"#include <(?:Ogre|epoxy/|GL/|rcl|rclcpp/|rviz_|[a-z_]+_msgs/)|^\s*(?:from|import) "
     r"(?:rclpy|ament_|rviz_|[a-z_]+_msgs|OpenGL|moderngl)\b",
@@ -97,6 +98,21 @@ def test_rooms_of_the_engine_stand_in_a_line(room: str) -> None:
     assert found
     for path in found:
         assert not set(include.findall(path.read_text())) & later, path
+
+
+@pytest.mark.parametrize("room", PLUGIN_ROOMS)
+def test_rooms_of_the_plugin_stand_in_a_line(room: str) -> None:
+    """The display knows no OpenGL, either."""
+    source = ROOT / "rviz_gaussian_plugin/src"
+    later = PLUGIN_ROOMS[PLUGIN_ROOMS.index(room) + 1 :]
+    above = {header.name for name in later for header in (source / name).glob("*.hpp")}
+    found = list((source / room).glob("*.[ch]pp"))
+    assert found
+    for path in found:
+        includes = re.findall(r"#include [\"<]((?!rosplat_core/)[\w/.]+)", path.read_text())
+        assert not {Path(name).name for name in includes} & above, path
+        if room == "display":
+            assert not {name.split("/")[0] for name in includes} & {"gl", "gpu", "epoxy"}, path
 
 
 def test_constants_stand_once() -> None:

@@ -1,3 +1,13 @@
+// How it works. Space is divided into cubes, twice as wide from level to level. A splat enters at
+// the level whose cells are wider than twice its standard deviation. Each cell has a node: one
+// Gaussian with the mean, covariance and mean harmonics of what is in it, weighted by opacity and
+// area (mixture.hpp). advance() works in steps between which it may stop:
+// 1. begin: what changed in marked pages, and the cells that this touches, sorted.
+// 2. cut: for each level, touched cells and those around them, as pieces of work.
+// 3. make, fill: a piece's nodes anew, from its members and the finer level, in a fixed order.
+// 4. nextLevel, until one has at most eight nodes and no splat enters after it; then publish.
+// So the result equals, to the bit, that of a map that was built at once.
+
 #include "rosplat_core/levels/levels.hpp"
 
 #include <algorithm>

@@ -1,3 +1,12 @@
+// How it works. A receiver's books of a map, without its splats. apply() turns a batch into an
+// edit, which whoever draws takes later (arrivals.hpp):
+// 1. check: what contradicts itself is refused, by its field's name, before anything changes.
+// 2. stateAfter: the revision, what was missed, and whether the map begins anew.
+// 3. layOutSplats: splats become packed slots, in float32 relative to their group's origin in
+//    float64. Single splats without meaning are dropped.
+// 4. The books of slots in use, of each block's group, of poses and of a sample are changed at
+//    once, after `keep` has the edit: if memory is lacking, nothing has changed.
+
 #include "rosplat_core/map/gaussian_map.hpp"
 
 #include <algorithm>

@@ -1,3 +1,14 @@
+// How it works. One thread finds picks, paints and takes edits; run() tries these in turn:
+// 1. findNext: a pick. The picture that is being painted is cancelled, and begun anew afterwards.
+// 2. paintNext: the view that has waited longest. takeEdits, chooseDetail, CpuRasterizer::draw
+//    until the budget of the detail is kept; then what a window needs: 8-bit colours, a mesh, a
+//    surface.
+// 3. goOnWithMaps: edits and levels of detail, while no picture is asked for.
+// A picture that follows a camera is painted for where that will be in the middle of the time for
+// which it is shown (movedOn). The render thread never waits: it warps the newest painting to its
+// own camera, by a mesh at the splats' mean depth (Mark et al. 1997, "Post-rendering 3D warping").
+// At rest, a camera gets its exact picture.
+
 #include "rosplat_core/painter/painter.hpp"
 
 #include <algorithm>

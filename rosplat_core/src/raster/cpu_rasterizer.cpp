@@ -1,3 +1,14 @@
+// How it works. Work::run() draws a picture in slices of depth, so that what nearer slices hide
+// costs little, and memory is that of one slice:
+// 1. setView, choosePages, cull: what may show, page by page, then slot by slot.
+// 2. deal: cuts that into slices of some 260,000 splats, nearest first.
+// 3. For each slice, raisePyramid (depths behind which nothing shows, after Greene et al. 1993),
+//    project what that doesn't hide, and list the splats by tiles.
+// 4. sortTile, blend: each tile sorts its pairs by depth and blends them. One thread a tile, so
+//    pictures are the same to the bit for any number of threads.
+// 5. findMeanDepths. pick() and contribute() end otherwise from step 4 on.
+// The order is exactly that of depth and slot. A slice that finds no memory is halved.
+
 #include "rosplat_core/raster/cpu_rasterizer.hpp"
 
 #include <algorithm>

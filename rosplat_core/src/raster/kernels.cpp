@@ -1,3 +1,16 @@
+// How it works. One source, compiled for plain C++, AVX2 and AVX-512 (simd.hpp): kLanes splats or
+// pixels at a time. In the order in which CpuRasterizer calls them:
+// 1. cull: which slots of a page may show, with the sorters' test (depth_order.hpp).
+// 2. hide: leaves out what the pyramid of depths says is behind nearer slices.
+// 3. project: an EWA splat (Zwicker et al. 2001, as in Kerbl et al. 2023) by the projection's
+//    Jacobian, + 0.3 px^2, to an ellipse; a splat trained along rays, or a disc, to a conic
+//    (views/conic.hpp); harmonics to a colour; the tiles that the outline of alpha = 1/255 touches,
+//    row by row.
+// 4. blend, pick, contribute: a tile's list front to back, alpha = 2^(peak - u^2 - v^2) by four
+//    squarings, until no pixel lets more than 1e-4 through.
+// What is left out is below 1/255 or behind 1e-4; the rest is exact but for the rounding of
+// float32.
+
 #include "raster/kernels.hpp"
 
 #include "raster/simd.hpp"

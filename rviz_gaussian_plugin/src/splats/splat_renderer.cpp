@@ -1,3 +1,15 @@
+// How it works. A picture takes two calls, so that the card works while Ogre draws the scene.
+// begin():
+// 1. chooseDetail: which nodes of its levels stand for splats of each map.
+// 2. ViewState::prepare: culls pages and slots, projects, sorts by depth (ordered_splats.hpp).
+// 3. ViewState::list: lists by tiles (tile_rasterizer.hpp). Kept, as step 2, where camera, map,
+//    settings and order are those of the view's last frame. draw():
+// 4. copyDepth of the opaque scene; divide at the translucent objects. 5. ViewState::blend.
+// 6. hasRoom, missesBudget: only the card knows how many splats show, so the steps work in the
+//    room that earlier frames needed. Where that was too little, 2 to 5 run again: no picture lacks
+//    any.
+// 7. composite: lays the picture over the window.
+
 #include "splat_renderer.hpp"
 
 #include <algorithm>

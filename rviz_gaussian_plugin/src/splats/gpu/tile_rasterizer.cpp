@@ -1,3 +1,15 @@
+// How it works. From splats in order of depth to pixels, with macro tiles as HiGS has them
+// (arXiv:2606.00352):
+// 1. listMacroPairs: pairs each splat with the macro tiles of 128x64 pixels that its outline
+//    touches, and sorts the pairs by macro tile, stably (macro_count.comp, macro_list.comp).
+// 2. listByTiles: each block of 256 splats of a macro tile finds which of its 32 tiles they touch,
+//    and writes them to these tiles' lists, without gaps (tile_touch.comp, tile_list.comp).
+// 3. blendTiles: a work group for each tile of 16x16 pixels blends its list front to back in 32-bit
+//    floats, up to the opaque depth, until nothing behind shows (tile_blend.comp).
+// 4. blendInSegments: lists beyond 2,048 splats are cut, blended side by side, and laid over.
+// Where all lists take too much memory, the picture is made region by region (picture_regions.hpp).
+// No list lacks a splat whose alpha reaches 1/255 in its tile.
+
 #include "gpu/tile_rasterizer.hpp"
 
 #include <algorithm>
