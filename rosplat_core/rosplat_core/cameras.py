@@ -178,6 +178,12 @@ def _camera(entry: Any, where: str) -> Camera:
         raise SceneError(f"{where}: {error}") from error
 
 
+def picture_of(path: Path, camera: Camera) -> Path | None:
+    """The picture that a camera of a file, or of COLMAP's folder, took; None without one."""
+    folder = path if path.is_dir() else path.parent
+    return folder / camera.image if camera.image else None
+
+
 def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
     """Writes a camera file. Raises SceneError when it can't be written."""
     entries = [

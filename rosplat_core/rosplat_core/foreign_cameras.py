@@ -28,12 +28,14 @@ from numpy.typing import NDArray
 from rosplat_core.formats.bounds import refusing
 from rosplat_core.log_text import shown
 from rosplat_core.quaternions import to_matrices
+from rosplat_core.splats import SceneError
 
 Entry = dict[str, Any]
 Warn = Callable[[str], object]
 
 PARSED = "dataparser_transforms.json"
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+NO_PINHOLE = ("EQUIRECTANGULAR", "OMNIDIRECTIONAL", "VR180")  # beginnings of models' names
 FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 # What nerfstudio did to COLMAP's coordinates before transforms.json had a field for it.
 APPLIED = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
@@ -104,6 +106,10 @@ def _transforms(document: Entry, path: Path, warn: Warn) -> list[Entry]:
     with refusing(f"{path}: frames"):
         frames = [document | frame for frame in document["frames"]]
     bent = [name for name in DISTORTION if any(frame.get(name) for frame in frames)]
+    models = {str(frame.get("camera_model", "")) for frame in frames}
+    if round_ := sorted(model for model in models if model.startswith(NO_PINHOLE)):
+        raise SceneError(f"{path}: camera model {shown(round_[0])} has no pinhole picture")
+    bent += sorted(model for model in models if "FISHEYE" in model)
     if bent:
         warn(f"{path}: lens distortion {', '.join(bent)} left out: cameras are drawn without it")
     with refusing(str(path.with_name(PARSED))):

@@ -62,6 +62,16 @@ def test_nerfstudio(tmp_path: Path) -> None:
     assert told == [f"{path}: lens distortion k1 left out: cameras are drawn without it"]
 
 
+def test_cameras_that_see_all_around_are_named(tmp_path: Path) -> None:
+    path = write(tmp_path / "transforms.json", transforms(camera_model="EQUIRECTANGULAR"))
+    with pytest.raises(SceneError, match="EQUIRECTANGULAR has no pinhole"):
+        load_cameras(path)
+    told: list[str] = []
+    write(path, transforms(camera_model="OPENCV_FISHEYE"))
+    assert_cameras(load_cameras(path, told.append), 321.5, 239.0)
+    assert "OPENCV_FISHEYE left out" in told[0]
+
+
 def test_nerfstudio_s_exported_maps(tmp_path: Path) -> None:
     """Poses of the file are applied COLMAP's; an exported map is turned and scaled again."""
     applied = np.eye(4)

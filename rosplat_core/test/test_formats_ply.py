@@ -375,14 +375,14 @@ def test_text_has_many_names_for_no_number(random_splats: Make, tmp_path: Path) 
     save(tmp_path / "a.ply", random_splats(12, 0))
     write_rows(tmp_path / "b.ply", rows_of(tmp_path / "a.ply"), text=True)
     head, body = (tmp_path / "b.ply").read_text().split("end_header\n")
-    names = ["-nan(ind)", "nan(snan)", "1.#QNAN", "-1.#IND00", "1.#INF", "-1.#INF00", "NaN", "-inf"]
+    names = ["-nan(ind)", "nan(snan)", "1.#QNAN", "-1.#IND00", "1.#INF", "-1.#INF00", "nanq"]
     lines = body.splitlines()
     for number, name in enumerate(names):
         lines[number] = f"{name} {lines[number].partition(' ')[2]}"
     (tmp_path / "c.ply").write_text(head + "end_header\n" + "\n".join(lines))
     told: list[str] = []
-    assert_same(load(tmp_path / "c.ply", warn=told.append), load(tmp_path / "a.ply")[8:])
-    assert "dropped 8 of 12" in told[0]
+    assert_same(load(tmp_path / "c.ply", warn=told.append), load(tmp_path / "a.ply")[7:])
+    assert "dropped 7 of 12" in told[0]
 
 
 def test_linear_scales_and_opacities_are_suspected(random_splats: Make, tmp_path: Path) -> None:

@@ -41,9 +41,14 @@ def test_archives_are_named(random_splats: Callable[..., Splats], tmp_path: Path
     (tmp_path / "a.ply.gz").write_bytes(gzip.compress((tmp_path / "a.ply").read_bytes()))
     (tmp_path / "b.gz").write_bytes(gzip.compress(b"whatever"))
     (tmp_path / "cut.zip").write_bytes((tmp_path / "scenes.zip").read_bytes()[:100])
+    for ending in (".splat", ".ksplat", ".ply"):
+        (tmp_path / f"renamed{ending}").write_bytes((tmp_path / "scenes.zip").read_bytes())
     (tmp_path / "a.json").write_text("[1]")
     for name, reason in (
         ("scenes.zip", r"a zip with a/point_cloud\.ply, .*, …: unpack it first"),
+        ("renamed.splat", "a zip with"),
+        ("renamed.ksplat", "a zip with"),
+        ("renamed.ply", "a zip with"),
         ("model.pth", "a checkpoint of PyTorch"),
         ("a.tar", "a tar archive"),
         ("a.ply.gz", "a PLY packed by gzip"),

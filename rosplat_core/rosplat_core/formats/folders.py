@@ -1,8 +1,8 @@
 """What a folder stands for: a trainer's newest model, or tiles that are one scene together.
 
 A trainer keeps a file for each of several iterations, INRIA's in point_cloud/iteration_N, gsplat's
-in ply. Tiles are all .ply, .splat or .spz files in a folder; a scene that is there in two formats
-has to be named.
+in ply. Tiles are all files of one ending in a folder; a scene that is there in two formats has to
+be named.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from types import ModuleType
 
 import numpy as np
 
-from rosplat_core.formats import compressed_ply, ply, splat, spz
+from rosplat_core.formats import compressed_ply, ply, sog, splat, spz
 from rosplat_core.formats.decoded import (
     AS_TRAINED,
     Axes,
@@ -30,8 +30,8 @@ from rosplat_core.splats import SceneError, concatenate
 
 NAME = "a folder of tiles"
 
-READERS = (compressed_ply, ply, spz, splat)
-ENDINGS = (".ply", ".splat", ".spz")
+READERS = (compressed_ply, ply, spz, sog, splat)
+ENDINGS = (".ply", ".splat", ".spz", ".sog")
 MODELS = ("point_cloud/*/point_cloud.ply", "iteration_*/point_cloud.ply", "ply/point_cloud_*.ply")
 # Brush's export_N, gsplat's point_cloud_N, LichtFeld's splat_N: one scene, trained for so long.
 TRAINED = re.compile(r"(?:export|point_cloud|splat|step|iteration)_?\d+\.(?:ply|spz|splat)")

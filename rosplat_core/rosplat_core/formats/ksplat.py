@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from rosplat_core.formats.bounds import claim, size_of
 from rosplat_core.formats.decoded import Floats, Into, Made, Progress, Warn
 from rosplat_core.formats.file_rows import FileRows
+from rosplat_core.formats.strangers import packed
 from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, sh_coefficients
 
@@ -68,8 +69,8 @@ class Section(NamedTuple):
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Whether a path has the ending."""
-    return path.suffix.lower() == SUFFIX
+    """Whether a path has the ending, and is no archive."""
+    return path.suffix.lower() == SUFFIX and not packed(head)
 
 
 def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:

@@ -32,8 +32,8 @@ TYPES = {
     "half": "f2", "float16": "f2", "int64": "i8", "uint64": "u8",  # of no standard
 }  # fmt: skip
 
-# What Windows' printf writes of no number: -nan(ind), nan(snan), -1.#IND, 1.#QNAN, 1.#INF
-_NAN = re.compile(r"[-+]?nan\([^)\s]*\)|[-+]?1\.#(?:IND|QNAN|SNAN)\S*", re.IGNORECASE)
+# What C libraries write of no number: -nan(ind), nan(snan), nanq, -1.#IND, 1.#QNAN, 1.#INF
+_NAN = re.compile(r"[-+]?nan[\w()]*|[-+]?1\.#(?!inf)\S*", re.IGNORECASE)
 _INFINITY = re.compile(r"1\.#INF\S*", re.IGNORECASE)
 
 
@@ -178,7 +178,7 @@ class PlyFile:
 
 def _readable(line: str) -> str:
     """A line whose numbers NumPy can read."""
-    if "#" in line or "(" in line:
+    if "#" in line or "n" in line or "N" in line:
         line = _INFINITY.sub("inf", _NAN.sub("nan", line))
     return line
 

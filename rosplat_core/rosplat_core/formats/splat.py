@@ -20,6 +20,7 @@ from rosplat_core.formats.bounds import claim, size_of
 from rosplat_core.formats.decoded import Into, Made, Progress, Warn, blocks
 from rosplat_core.formats.file_rows import FileRows
 from rosplat_core.formats.quantised import to_bytes
+from rosplat_core.formats.strangers import packed
 from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.splats import SceneError, Splats
 
@@ -32,8 +33,8 @@ RECORD = np.dtype(
 
 
 def recognises(path: Path, head: bytes) -> bool:
-    """Whether a path has the ending."""
-    return path.suffix.lower() in SUFFIXES
+    """Whether a path has the ending, and is no archive."""
+    return path.suffix.lower() in SUFFIXES and not packed(head)
 
 
 def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:

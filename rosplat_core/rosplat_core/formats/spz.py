@@ -91,7 +91,7 @@ Packed = dict[str, NDArray[np.uint8]]
 
 def recognises(path: Path, head: bytes) -> bool:
     """Whether a file begins like version 4, plain or in gzip, or is a gzip with the ending."""
-    if head[:2] == GZIP:
+    if head.startswith(GZIP):
         return path.suffix.lower() == SUFFIXES[0] or beginning(head, len(MAGIC)) == MAGIC
     return head[:4] == MAGIC
 

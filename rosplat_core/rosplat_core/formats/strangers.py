@@ -8,7 +8,7 @@ from pathlib import Path
 
 LFS = b"version https://git-lfs.github.com/spec/"
 MARKUP = (b"<!doctype", b"<html", b"<?xml", b"<head", b"<error")
-GZIP, ZIP = b"\x1f\x8b", b"PK\x03\x04"
+GZIP, ZIP = b"\x1f\x8b\x08", b"PK\x03\x04"
 PACKED = {
     GZIP: "packed by gzip", b"BZh": "packed by bzip2", b"\xfd7zXZ": "packed by xz",
     b"7z\xbc\xaf\x27\x1c": "a 7z archive", b"Rar!": "a RAR archive",
@@ -25,6 +25,11 @@ def impostor(head: bytes) -> str:
     if head.lstrip(b"\xef\xbb\xbf \t\r\n")[:16].lower().startswith(MARKUP):
         return "a web page, not the file itself: what a download got in its place"
     return ""
+
+
+def packed(head: bytes) -> bool:
+    """Whether a file is an archive, or packed by a program that packs any file."""
+    return head.startswith((ZIP, *PACKED))
 
 
 def stranger(path: Path, head: bytes) -> str:

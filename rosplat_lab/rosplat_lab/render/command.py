@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from rclpy.client import Client
 from tqdm import tqdm
 
-from rosplat_core.cameras import Camera, load_cameras
+from rosplat_core.cameras import Camera, load_cameras, picture_of
 from rosplat_core.program.files import replacing, write_text
 from rosplat_core.program.output import say, told
 from rosplat_core.scenes import NAMES, check_scene
@@ -172,9 +172,9 @@ def check(path: Path, cameras: Sequence[Camera]) -> None:
                 f"{where}: {size}, expected sides of at most {LONGEST_SIDE} "
                 f"and {MOST_PIXELS:,} pixels"
             )
-        if camera.image:
+        if picture := picture_of(path, camera):
             try:
-                height, width = _pixels(path.parent / camera.image).shape[:2]
+                height, width = _pixels(picture).shape[:2]
             except SceneError as error:
                 raise SceneError(f"{where}: {error}") from error
             if (width, height) != (camera.width, camera.height):
@@ -261,8 +261,8 @@ def main(arguments: list[str] | None = None) -> int:
             "sort_ms": answer.sort_time * 1e3,
             "draw_ms": answer.draw_time * 1e3,
         }
-        if camera.image:
-            reference = read_picture(options.cameras.parent / camera.image)
+        if picture_taken := picture_of(options.cameras, camera):
+            reference = read_picture(picture_taken)
             row |= {"reference": camera.image, **compare(color[..., :3], reference)}
         rows.append(row)
 
