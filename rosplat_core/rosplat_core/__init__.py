@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rosplat_core.formats import load, save
     from rosplat_core.generated import generate
     from rosplat_core.ordering import depth_order
+    from rosplat_core.relocalisation import Relocaliser, relocalise
     from rosplat_core.rendering import CpuRenderer, render
     from rosplat_core.simplification import simplify
     from rosplat_core.slot_order import put_in_slot_order
@@ -23,6 +24,7 @@ __all__ = [
     "Alignment",
     "Camera",
     "CpuRenderer",
+    "Relocaliser",
     "SceneError",
     "Splats",
     "align",
@@ -34,6 +36,7 @@ __all__ = [
     "look_at",
     "orbit",
     "put_in_slot_order",
+    "relocalise",
     "render",
     "save",
     "save_cameras",
@@ -46,6 +49,7 @@ _MODULES = {
     "formats": ("load", "save"),
     "generated": ("generate",),
     "ordering": ("depth_order",),
+    "relocalisation": ("Relocaliser", "relocalise"),
     "rendering": ("CpuRenderer", "render"),
     "simplification": ("simplify",),
     "slot_order": ("put_in_slot_order",),

@@ -22,6 +22,7 @@ thirty tiles can't tell the 21 numbers of a covariance.
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -37,7 +38,7 @@ Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
 
 LONGEST_SIDE = 640  # of the finest level, at most; larger pictures are reduced [px]
-TRIES = 3  # each begins on a finer level, as the coarsest may lead astray
+TRIES = 3
 COARSEST = 10  # shorter side of the coarsest level, at least [px]
 LEAST_POINTS = 60  # pixels that show the map, for a level to count
 LEAST_ALPHA = 0.5  # of a pixel of the map that has a surface
@@ -94,12 +95,17 @@ def align(
     picture: ArrayLike,
     camera: Camera,
     mask: ArrayLike | None = None,
+    *,
+    tries: int = TRIES,
+    patience: float = math.inf,
 ) -> Alignment:
     """Refines the pose of `camera` by a picture that it took.
 
     picture: RGB (height, width, 3), uint8 or 0 to 1. mask: (height, width), true for pixels that
-    count. To align several pictures with the same splats, keep a CpuRenderer. Raises ValueError for
-    an orthographic camera, and for a picture or mask of another size.
+    count. tries: how many, each begun on a finer level, as the coarsest may lead astray. patience:
+    time after which no other try begins [s]. To align several pictures with the same splats, keep a
+    CpuRenderer. Raises ValueError for an orthographic camera, and for a picture or mask of another
+    size.
     """
     renderer = scene if isinstance(scene, CpuRenderer) else CpuRenderer(scene)
     colours, counts = _checked(picture, camera, mask)
@@ -109,14 +115,14 @@ def align(
         sizes.append(2 * sizes[-1])
     levels = [_Level(colours, counts, camera, size, size == reduction) for size in sizes]
     uncertain = MOST_UNCERTAIN * min(levels[0].camera.width, levels[0].camera.height)
-    drawings = 0
-    for begin in range(len(levels), max(len(levels) - TRIES, 0), -1):
+    drawings, until = 0, time.monotonic() + patience
+    for begin in range(len(levels), max(len(levels) - tries, 0), -1):
         search = _Search(renderer, camera, uncertain, drawings)
         for level in reversed(levels[:begin]):
             search.refine(level)
         found = search.result()
         drawings = found.iterations
-        if found.converged:
+        if found.converged or time.monotonic() > until:
             break
     return found
 
@@ -207,8 +213,12 @@ class _Level:
     ) -> None:
         self.size, self.camera, self.finest = size, _reduced(camera, size), finest
         means, shares = _masked_means(colours, counts, size)
+        # Pixels beside those that don't count have no gradients, so they don't count either.
+        means[shares == 0] = np.nan
+        values = np.concatenate([means, *_gradients(means)], axis=-1)
+        shares *= np.isfinite(values).all(axis=-1)
         # Colours, their gradients along x and y, and how much a pixel counts.
-        self.values = np.concatenate([means, *_gradients(means), shares[..., None]], axis=-1)
+        self.values = np.nan_to_num(np.concatenate([values, shares[..., None]], axis=-1))
 
 
 # --- The map's pixels, and equations for a pose ---------------------------------------------------
