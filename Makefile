@@ -23,7 +23,7 @@ help: ## This list
 setup: ## Install what is missing and build the packages
 	@./setup.sh
 
-demo: ## See a scene: SCENE=path, else a procedural one; UP="0 -1 0" for the viewer without rviz2, where the vertical is neither the format's nor z; IMU=1 with the IMU panel (GPL)
+demo: ## See a scene: SCENE=path, else a procedural one; UP="0 -1 0" where it stands another way up; IMU=1 with the IMU panel (GPL)
 	$(call EXISTS,$(SCENE))
 	@./setup.sh $(if $(IMU),imu)
 	@$(ENTER); python -m rviz_gaussian_plugin.demo $(if $(SCENE),"$(SCENE)") $(if $(UP),--up $(UP))
@@ -37,6 +37,7 @@ render: ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=
 
 simplify: ## Fewer splats that look the same: IN=scene OUT=scene PSNR=50, or SPLATS=count or BYTES=20M [CAMERAS=path.json [TRAJECTORY=poses.txt|BAG:TOPIC] [MARGIN=metres]] [REFINE=minutes] [REPORT=file.json]
 	@test -n "$(IN)" -a -n "$(OUT)" || { echo 'make simplify needs IN=scene OUT=scene, and PSNR=, SPLATS= or BYTES='; exit 1; }
+	@test -n "$(PSNR)$(SPLATS)$(BYTES)" || { echo 'make simplify needs a bound: PSNR=, SPLATS= or BYTES='; exit 1; }
 	$(call EXISTS,$(IN))
 	@./setup.sh lab
 	@$(ENTER); python -m rosplat_lab.simplify "$(IN)" "$(OUT)" $(if $(PSNR),--psnr $(PSNR)) $(if $(SPLATS),--max-splats $(SPLATS)) $(if $(BYTES),--max-bytes $(BYTES)) $(if $(CAMERAS),--cameras "$(CAMERAS)") $(if $(TRAJECTORY),--trajectory "$(TRAJECTORY)") $(if $(MARGIN),--margin $(MARGIN)) $(if $(REFINE),--refine $(REFINE)) $(if $(REPORT),--report "$(REPORT)")

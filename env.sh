@@ -31,11 +31,20 @@ ROSPLAT_CMAKE_ARGS+=" -DROSPLAT_DISPLAY=$(command -v rviz2 >/dev/null && echo ON
 export ROSPLAT_CMAKE_ARGS
 
 ros_folder=$root/.ros/$ROSPLAT_ROS
+# What is built names the folder that it was built in.
+moved_from=$(cat "$ros_folder/place" 2>/dev/null || true)
+if [ "$moved_from" = "$root" ]; then moved_from=; fi
+if [ -n "$moved_from" ] && [ -z "${setting_up:-}" ]; then
+  echo "This checkout was $moved_from when it was built: ./setup.sh builds it anew." >&2
+fi
 export COLCON_DEFAULTS_FILE=$ros_folder/colcon.yaml # `colcon build` and `colcon test` find the folders
-if [ -f "$ros_folder/venv/bin/activate" ]; then source_unset_ok "$ros_folder/venv/bin/activate"; fi
+if [ -z "$moved_from" ] && [ -f "$ros_folder/venv/bin/activate" ]; then
+  source_unset_ok "$ros_folder/venv/bin/activate"
+fi
 if [ -n "$wheels_of" ]; then
   export ROS_VERSION=2 ROS_DISTRO=$wheels_of ROS_PYTHON_VERSION=3 AMENT_PREFIX_PATH="$ros_folder/venv"
 fi
-if [ -f "$ros_folder/install/local_setup.bash" ]; then
+if [ -z "$moved_from" ] && [ -f "$ros_folder/install/local_setup.bash" ]; then
   source_unset_ok "$ros_folder/install/local_setup.bash"
 fi
+if [ -n "$wheels_of" ] && ! command -v ros2 >/dev/null; then PATH=$PATH:$root/rosplat_ros/scripts; fi

@@ -6,6 +6,11 @@
 set -euo pipefail
 trap 'exit 130' INT # what is interrupted may end as if it had failed, or not have heard of it
 cd "$(dirname "$0")"
+if [[ $PWD =~ [[:space:]] ]]; then
+  echo "$PWD: ROS 2 builds nothing below a folder with a space in its name: move the checkout." >&2
+  exit 1
+fi
+setting_up=1
 . ./env.sh
 
 say() { printf '\033[1m%s\033[0m\n' "$*"; }
@@ -64,6 +69,10 @@ fi
 # --- Python environment ---------------------------------------------------------------------------
 folder=.ros/$ROSPLAT_ROS
 venv=$folder/venv
+if [ -n "$moved_from" ]; then # all of it names the folder that it was made in
+  say "This checkout was $moved_from: building anew"
+  rm -rf "$folder"
+fi
 if [ ! -f "$venv/bin/activate" ]; then
   say "Creating $venv"
   system_packages=$([ -n "$wheels_of" ] || echo --system-site-packages)
@@ -96,7 +105,6 @@ if [ -n "$wheels_of" ] && [ ! -f "$venv/exports-rewritten" ]; then
 fi
 
 # --- Packages -------------------------------------------------------------------------------------
-say "Building the packages ($folder/log/latest_build)"
 dev=$([ -f "$venv/dev" ] && echo ON || echo OFF)
 cat >"$COLCON_DEFAULTS_FILE" <<YAML
 "": {log-base: $folder/log}
@@ -114,6 +122,16 @@ $(printf '    - %s\n' $ROSPLAT_CMAKE_ARGS)
 test: {build-base: $folder/build, install-base: $folder/install, executor: sequential}
 test-result: {test-result-base: $folder/build}
 YAML
+# Nothing changed since the last build: colcon would take half a minute to find that out.
+state=$( (
+  cat "$COLCON_DEFAULTS_FILE" "$venv/installed"
+  find . \( -name .ros -o -name __pycache__ \) -prune -o -path './r*_*/*' -type f -printf '%p %s %T@\n' | sort
+) | sha256sum)
+if [ -f "$folder/install/local_setup.bash" ] && [ "$state" = "$(cat "$folder/built" 2>/dev/null)" ]; then
+  exit 0
+fi
+say "Building the packages ($folder/log/latest_build)"
+rm -f "$folder/built"
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
 # What ends, and after how long; the first time, the engine and the messages take minutes each.
@@ -122,3 +140,5 @@ if ! colcon build --event-handlers console_direct+ console_stderr- 2>&1 | tee "$
   grep -E 'error|Error|ERROR' -A5 "$log" | tail -n 60 >&2 || tail -n 60 "$log" >&2
   exit 1
 fi
+echo "$PWD" >"$folder/place"
+echo "$state" >"$folder/built"

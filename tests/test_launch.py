@@ -167,6 +167,14 @@ def test_the_frame_of_the_scene_is_seen() -> None:
     assert upright["rviz2"].words[-1] == "--fixed-frame=map"
 
 
+def test_a_scene_stands_upright_unless_its_frame_is_named() -> None:
+    stands = started(scene="a.ply", up="0 -1 0")["ply_publisher"].parameters
+    names = ("frame_id", "upright_frame", "up")
+    assert [stands[name] for name in names] == ["scene", "map", "0 -1 0"]
+    stays = started(scene="a.ply", frame_id="odom")["ply_publisher"].parameters
+    assert [stays[name] for name in names] == ["odom", "", ""]
+
+
 def test_topic_and_time_are_those_of_all() -> None:
     for program in started(scene="a.ply", sensors="true").values():
         assert program.remappings["gaussians"] == "gaussians"

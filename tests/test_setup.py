@@ -138,3 +138,38 @@ def test_a_build_fails_without_what_its_manifest_asks_for(
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode
     assert lacking in done.stderr
+
+
+def test_an_unchanged_checkout_is_not_built_again(checkout: Checkout) -> None:
+    (checkout.folder / "rosplat_core").mkdir()
+    source = checkout.folder / "rosplat_core/a.py"
+    source.write_text("1")
+    assert "Building" in checkout.setup("wheels").stdout
+    (checkout.folder / ".ros/wheels/install").mkdir()
+    (checkout.folder / ".ros/wheels/install/local_setup.bash").touch()
+    assert "Building" not in checkout.setup("wheels").stdout
+    source.write_text("22")
+    assert "Building" in checkout.setup("wheels").stdout
+    assert "Building" not in checkout.setup("wheels").stdout
+
+
+def test_a_checkout_that_has_moved_is_built_anew(checkout: Checkout) -> None:
+    checkout.setup("wheels")
+    old = checkout.folder / ".ros/wheels/venv/old"
+    old.touch()
+    moved = checkout.folder.with_name("moved")
+    checkout.folder.rename(moved)
+    checkout.folder = moved
+    assert "./setup.sh builds it anew" in checkout.bash(". ./env.sh", "wheels").stderr
+    done = checkout.setup("wheels")
+    assert done.returncode == 0, done.stderr
+    assert "building anew" in done.stdout
+    assert not (moved / ".ros/wheels/venv/old").exists()
+    assert not checkout.bash(". ./env.sh", "wheels").stderr
+
+
+def test_a_folder_with_a_space_is_named(tmp_path: Path) -> None:
+    (tmp_path / "my robots").mkdir()
+    done = Checkout(tmp_path / "my robots").setup("wheels")
+    assert done.returncode == 1
+    assert "move the checkout" in done.stderr

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rosplat_core.alignment import Alignment, align
     from rosplat_core.cameras import Camera, load_cameras, look_at, orbit, save_cameras
+    from rosplat_core.first_look import first_view
     from rosplat_core.formats import load, save
     from rosplat_core.generated import generate
     from rosplat_core.ordering import depth_order
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from rosplat_core.simplification import simplify
     from rosplat_core.slot_order import put_in_slot_order
     from rosplat_core.splats import SceneError, Splats, concatenate
+    from rosplat_core.upright import find_up
 
 __all__ = [
     "Alignment",
@@ -30,6 +32,8 @@ __all__ = [
     "align",
     "concatenate",
     "depth_order",
+    "find_up",
+    "first_view",
     "generate",
     "load",
     "load_cameras",
@@ -46,6 +50,7 @@ __all__ = [
 _MODULES = {
     "alignment": ("Alignment", "align"),
     "cameras": ("Camera", "load_cameras", "look_at", "orbit", "save_cameras"),
+    "first_look": ("first_view",),
     "formats": ("load", "save"),
     "generated": ("generate",),
     "ordering": ("depth_order",),
@@ -54,6 +59,7 @@ _MODULES = {
     "simplification": ("simplify",),
     "slot_order": ("put_in_slot_order",),
     "splats": ("SceneError", "Splats", "concatenate"),
+    "upright": ("find_up",),
 }
 
 

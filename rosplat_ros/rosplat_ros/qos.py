@@ -50,6 +50,9 @@ def _view_qos(depth: int) -> QoSProfile:
 VIEW = _view_qos(32)
 ORDER = _view_qos(8)
 
+# The view that a map's publisher offers: the newest, for whoever comes.
+FIRST_VIEW = _map_qos(1)
+
 
 def overridable(profile: QoSProfile, adapted: QoSProfile | None = None) -> dict[str, Any]:
     """Arguments of create_publisher and create_subscription: QoS with parameters that override it.

@@ -28,6 +28,7 @@ from rosplat_ros.program.parameters import (
     declare_path,
 )
 from rosplat_ros.program.running import Cancelled, run, spinning, wait_for_end
+from rosplat_tools.first_views import FirstViews
 
 # Of callbacks: ~/load that sends, one that reads, one that cancels; ~/save, repeat, parameters.
 THREADS = 6
@@ -59,6 +60,7 @@ class PlyPublisher(Node):
             self, "save_root", "", "Folder below which ~/save may write; empty: nowhere."
         )
         self._model = declare_model(self)
+        self._views = FirstViews(self, frame_id)
         self._map = MapPublisher(
             self,
             frame_id=frame_id,
@@ -111,8 +113,10 @@ class PlyPublisher(Node):
         start = time.monotonic()
         self._go_on(answer)  # cancelled, maybe, while it waited
         splats = self._read(answer, path)
+        view = self._views.find(path, splats)
         if not answer.set_running_or_notify_cancel():
             raise Cancelled
+        self._views.offer(view)
         with bar("publishing", len(splats)) as drawn:
 
             def published(count: int) -> None:

@@ -29,6 +29,7 @@ def generate_launch_description() -> LaunchDescription:
         PythonLaunchDescriptionSource(str(FOLDER / "view.launch.py")),
         launch_arguments={
             "scene": LaunchConfiguration("scene"),
+            "frame_id": "map",  # as the other one
             "max_splats": LaunchConfiguration("max_splats"),
             "sensors": "true",  # their TF has the camera
             "obstacles": "true",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import GroupAction, OpaqueFunction
+from launch.actions import GroupAction, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node, SetParameter, SetRemap
 
@@ -31,10 +31,15 @@ ARGUMENTS = {
         "gaussians",
         "Topic of the map; those of its views, orders and pictures begin with it",
     ),
-    "frame_id": ("map", "Frame that the scene is published in"),
-    "fixed_frame": (
+    "frame_id": (
         "",
-        "rviz2's Fixed Frame; by default frame_id, or the configuration's if frame_id is map",
+        "Frame of the scene as the file has it; by default 'scene', which stands "
+        "upright in the frame 'map' by a transform that is published, too",
+    ),
+    "fixed_frame": ("", "rviz2's Fixed Frame; by default frame_id, or the configuration's: map"),
+    "up": (
+        "",
+        "The scene's vertical, such as '0 -1 0'; by default the file's, or else by its ground",
     ),
     "sorter": ("false", "Start a sorter, for displays whose Order Source is Sidecar"),
     "backend": ("auto", "What sorts: auto, cupy, torch, native, numpy"),
@@ -69,18 +74,24 @@ def generate_launch_description() -> LaunchDescription:
 def _programs(context: LaunchContext) -> list[GroupAction]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
 
-    scene, frame = given["scene"], given["frame_id"]
-    programs = []
+    scene = given["scene"]
+    # First: where there is no rviz2, nothing else begins.
+    programs = [_rviz(given, is_true(given, "sensors"), is_true(given, "obstacles"))]
     # No publisher without a scene: beside it, displays don't hear a SLAM node's volatile one.
     if scene:
-        programs.append(publisher(scene, frame, whole_number(given, "max_splats")))
+        frame, upright = given["frame_id"] or "scene", "" if given["frame_id"] else "map"
+        programs.append(
+            publisher(
+                scene, frame, whole_number(given, "max_splats"), up=given["up"],
+                upright_frame=upright,
+            )
+        )  # fmt: skip
     if is_true(given, "sorter"):
         programs.append(program("rosplat_sorter", "sorter", backend=given["backend"]))
     if is_true(given, "sensors"):
         programs.append(program("rosplat_tools", "demo_sensors"))
     if is_true(given, "obstacles"):
         programs.append(program("rosplat_tools", "occupancy"))
-    programs.append(_rviz(given, is_true(given, "sensors"), is_true(given, "obstacles")))
     return [
         GroupAction(
             [
@@ -94,8 +105,7 @@ def _programs(context: LaunchContext) -> list[GroupAction]:
 
 
 def _rviz(given: dict[str, str], sensors: bool, obstacles: bool) -> Node:
-    frame = given["frame_id"]
-    fixed_frame = given["fixed_frame"] or ("" if frame == "map" else frame)
+    fixed_frame = given["fixed_frame"] or given["frame_id"]
     name = "sensors.rviz" if sensors else "obstacles.rviz" if obstacles else "rosplat.rviz"
     config = given["config"] or str(Path(__file__).parents[1] / "config" / name)
     # Topics in a configuration begin with a slash: remap them into the other nodes' namespace.
@@ -108,4 +118,5 @@ def _rviz(given: dict[str, str], sensors: bool, obstacles: bool) -> Node:
         arguments=["-d", config, f"--fixed-frame={fixed_frame}"],
         remappings=[(f"/{topic}", meant) for topic, meant in shown.items()],
         output="screen",
+        on_exit=[Shutdown(reason="rviz2 was closed")],
     )

@@ -387,7 +387,7 @@ def windowed(
 ) -> Iterator[Callable[[Callable[[Viewer, ViewCamera], None]], None]]:
     """Shows a map of one splat in a window, and calls a function before each frame."""
     pytest.importorskip("pygame")
-    from rviz_gaussian_plugin.viewer.command import show_window
+    from rviz_gaussian_plugin.viewer.window import show_window
 
     MapPublisher(node).replace(discs((RED, 2.0)))
     rclpy.init(args=["--ros-args", "-r", f"__ns:={node.get_namespace()}"])
@@ -426,9 +426,9 @@ def test_a_window_at_rest_is_drawn_anew_for_what_changes_it(
 ) -> None:
     import pygame
 
-    from rviz_gaussian_plugin.viewer import command
+    from rviz_gaussian_plugin.viewer import window
 
-    monkeypatch.setattr(command, "CAPTION", float("inf"))
+    monkeypatch.setattr(window, "CAPTION", float("inf"))
     shown: list[None] = []  # one for each time
     flip = pygame.display.flip
     monkeypatch.setattr(pygame.display, "flip", lambda: (shown.append(None), flip()))
@@ -602,3 +602,24 @@ def test_a_killed_viewer_leaves_no_display(start: Start, listener: Any, node: No
 def children(pid: int, name: str) -> list[int]:
     found = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     return [int(child) for child in found if Path(f"/proc/{child}/comm").read_text() == f"{name}\n"]
+
+
+def test_the_orbit_of_a_view_sees_what_the_view_does() -> None:
+    from rosplat_core.first_look import FirstView
+    from rviz_gaussian_plugin.viewer.orbit import OrbitCamera
+
+    for up in ((0, 0, 1), (0, -1, 0), (0.6, -0.8, 0)):
+        view = FirstView(np.array([1.0, -2, 3]), np.array([0.5, 0.25, 1]), np.array(up, float))
+        expected, found = view.camera(64, 48), OrbitCamera.of(view).camera(64, 48)
+        np.testing.assert_allclose(found.world_to_camera, expected.world_to_camera, atol=1e-12)
+
+
+@pytest.mark.parametrize("window", [(0, 0), (1, 1), (6000, 6000), (30_000, 2), (1280, 720)])
+def test_a_picture_is_drawn_for_any_window(window: tuple[int, int]) -> None:
+    from rviz_gaussian_plugin.viewer.window import MOST_PIXELS, picture_size
+
+    width, height = picture_size(*window)
+    assert min(width, height) >= 1
+    assert width * height <= MOST_PIXELS
+    if window == (1280, 720):
+        assert (width, height) == window

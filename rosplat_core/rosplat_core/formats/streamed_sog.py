@@ -28,7 +28,7 @@ from rosplat_core.formats.decoded import Into, IntoSplats, Made, Progress, Warn,
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
 from rosplat_core.slot_pages import MAX_SLOTS
-from rosplat_core.splats import SceneError, Splats, sh_coefficients
+from rosplat_core.splats import SceneError, Splats, concatenate, sh_coefficients
 
 NAME = "streamed SOG"
 
@@ -96,6 +96,13 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
         packed = pieces.packed(parts[source].file)
         packed.decode(slice(first + rows.start, first + rows.stop), columns)
     return into.made(scene.path, warn, scene.model)
+
+
+def read_coarsest(scene: Streamed, warn: Warn) -> Splats:
+    """The coarsest level of every chunk. Raises SceneError for a file that can't be read."""
+    pieces = Pieces(scene, warn)
+    parts = sorted((chunk.levels[0] for chunk in scene.chunks), key=lambda p: (p.file, p.offset))
+    return concatenate([pieces.read(part) for part in parts if part.count])
 
 
 def open_streamed(path: Path) -> Streamed:

@@ -37,7 +37,7 @@ from rosplat_ros.program.processes import Processes, quoted
 from rosplat_ros.view_cameras import view_camera
 from rosplat_sorter.backends import BACKENDS
 
-START_TIMEOUT = 120.0  # for the map to be loaded, sent and received [s]
+START_TIMEOUT = 120.0  # since the map was last seen to be loaded, sent or received further [s]
 SETTLED = 1.0  # a complete map that hasn't changed for so long has all its edits [s]
 PUBLISHER = "publisher"  # name of its log
 ORDER_TIMEOUT = 10.0  # for the sorter, of a renderer that doesn't sort itself [s]
@@ -129,13 +129,14 @@ Visualization Manager:
 def _wait_for_map(programs: Programs, client: Client, camera: Camera) -> None:
     """Waits until the renderer has all of the map, and its last edits."""
     changed = time.monotonic()
-    revision, complete = -1, False
+    seen, complete = (-1, ""), False
     while not complete or time.monotonic() - changed < SETTLED:
         small = Camera(**(vars(camera) | {"width": 16, "height": 16}))
         answer = _call(programs, client, small, 0.0)
         complete = answer.map_complete
-        if answer.revision != revision:  # it grows: be patient
-            revision, changed = answer.revision, time.monotonic()
+        progress = (answer.revision, programs.last_line(PUBLISHER))
+        if progress != seen:  # it grows, or is read: be patient
+            seen, changed = progress, time.monotonic()
         if time.monotonic() - changed > START_TIMEOUT:
             raise RenderError("the map did not arrive: " + programs.last_line(PUBLISHER))
         time.sleep(0.1)

@@ -5,20 +5,28 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+from collections.abc import Callable
 
 from rclpy.utilities import remove_ros_args
 
+from rosplat_ros.program.parameter_help import declared_by, described
 
-def take_ros_arguments_only(program: str, description: str | None) -> None:
-    """Answers --help; ends the program at an argument that isn't ROS's, such as a scene's path."""
+
+def take_ros_arguments_only(
+    program: str, description: str | None, body: Callable[[], None]
+) -> None:
+    """Answers --help; ends the program at an argument that isn't ROS's, such as a scene's path.
+
+    body: of the program, by which --help finds its parameters.
+    """
     parser = argparse.ArgumentParser(
         prog=program,
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         usage=f"{program} [--ros-args [-p PARAMETER:=VALUE] [-r TOPIC:=OTHER] ...]",
-        epilog="While the node runs, `ros2 param list` lists its parameters, and\n"
-        f"`ros2 param describe /{program} PARAMETER` explains one.",
     )
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        parser.epilog = described(declared_by(body))
     try:
         parser.parse_args(remove_ros_args(sys.argv)[1:])
     except RuntimeError as error:  # RCLInvalidROSArgsError, UnknownROSArgsError: not public

@@ -31,6 +31,7 @@ from rosplat_core.splats import SceneError
 from rosplat_ros.program.arguments import take_ros_arguments_only
 from rosplat_ros.program.memory import give_back_large_blocks
 from rosplat_ros.program.mistakes import Mistakes
+from rosplat_ros.program.parameter_help import stop_if_asked
 from rosplat_ros.program.processes import interrupt_by_signals, since_interrupt
 
 GRACE = 0.5  # time that callbacks get to end before ROS ends [s]
@@ -74,7 +75,7 @@ def run_node(
 
 
 def _run(program: str, body: Callable[[], None], module: str) -> None:
-    take_ros_arguments_only(program, sys.modules[module].__doc__)
+    take_ros_arguments_only(program, sys.modules[module].__doc__, body)
     give_back_large_blocks()
     try:
         # rclpy's own handlers shut ROS down under code that is just using it.
@@ -100,6 +101,7 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
     An exception of a callback ends ROS, which the block may see, and is raised here after the
     block. A signal whose exception got lost ends ROS, too.
     """
+    stop_if_asked()
     Mistakes(node)
     executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
     executor.add_node(node)

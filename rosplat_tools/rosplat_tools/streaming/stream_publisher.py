@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rclpy.node import Node
 
-from rosplat_core.formats.streamed_sog import open_streamed
+from rosplat_core.formats.streamed_sog import open_streamed, read_coarsest
 from rosplat_core.log_text import shown
 from rosplat_core.posed_camera import CameraError, PosedCamera
 from rosplat_core.splats import SceneError
@@ -22,6 +22,7 @@ from rosplat_ros.program.parameters import declare, declare_compression, declare
 from rosplat_ros.program.running import run, spinning
 from rosplat_ros.qos import VIEW, overridable
 from rosplat_ros.view_cameras import decode
+from rosplat_tools.first_views import FirstViews
 from rosplat_tools.streaming.followed_view import FollowedView
 from rosplat_tools.streaming.streamed_map import StreamedMap
 
@@ -50,6 +51,12 @@ class StreamPublisher(Node):
         scene = open_streamed(Path(path))
         self._views: dict[str, FollowedView] = {}
         self._looked = threading.Event()
+        first_views = FirstViews(self, frame_id)
+        try:
+            coarsest = read_coarsest(scene, self.get_logger().warning)
+            first_views.offer(first_views.find(path, coarsest))
+        except SceneError as error:  # of one chunk: the others are shown
+            self.get_logger().warning(f"no first view is found: {error}")
         publisher = MapPublisher(self, frame_id=frame_id, compression=declare_compression(self))
         self._map = StreamedMap(
             scene, publisher, budget=most, target=target, warn=self.get_logger().warning

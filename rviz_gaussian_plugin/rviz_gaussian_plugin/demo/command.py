@@ -11,11 +11,17 @@ import uuid
 from pathlib import Path
 
 from rosplat_core.program.output import say
-from rosplat_core.scenes import NAMES, vertical
+from rosplat_core.scenes import NAMES
 from rosplat_core.splats import SceneError
 from rosplat_ros.program.processes import ProcessError, Processes, quoted
 
 PROCEDURAL = "procedural:200000"
+NEXT = """next:
+  make demo SCENE=path/to/your/scene.ply
+  . ./env.sh                      # the programs, in this shell
+  ros2 run rosplat_tools inspect path/to/your/scene.ply
+  ros2 run rosplat_tools ply_publisher --help
+docs/guides/show.md tells more, docs/guides/publish.md how SLAM publishes a map"""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -36,7 +42,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument(
         "--up", type=float, nargs=3, metavar=("X", "Y", "Z"),
-        help="the scene's vertical, for the viewer without rviz2 (default: the format's, or z)",
+        help="the scene's vertical (default: the file's, or else by its ground)",
     )  # fmt: skip
     options = parser.parse_args(arguments)
     screen = bool(os.environ.get("DISPLAY"))
@@ -46,8 +52,12 @@ def main(arguments: list[str] | None = None) -> int:
     remap = ["--ros-args", "-r", f"__ns:={namespace}"]
     try:
         with Processes(options.out / "log") as processes:
-            scene = f"path:={quoted(options.scene)}"
-            processes.node("rosplat_tools", "ply_publisher", *remap, "-p", scene)
+            scene = ["-p", f"path:={quoted(options.scene)}"]
+            if options.up:
+                scene += ["-p", f"up:={quoted(' '.join(map(str, options.up)))}"]
+            if rviz:
+                scene += ["-p", "frame_id:=scene", "-p", "upright_frame:=map"]
+            processes.node("rosplat_tools", "ply_publisher", *remap, *scene)
             if rviz:
                 from ament_index_python.packages import get_package_share_directory
 
@@ -62,11 +72,8 @@ def main(arguments: list[str] | None = None) -> int:
                 name = "viewer"
                 if screen:
                     say("the viewer is opening; close it or press Q to end the demo")
-                up = [float(value) for value in options.up or vertical(options.scene) or (0, 0, 1)]
                 output = [] if screen else ["-p", f"output:={quoted(options.out)}"]
-                viewer = processes.node(
-                    "rviz_gaussian_plugin", "viewer", *remap, "-p", f"up:={up}", *output
-                )
+                viewer = processes.node("rviz_gaussian_plugin", "viewer", *remap, *output)
             while viewer.poll() is None:
                 processes.check(but=viewer)
                 time.sleep(0.1)
@@ -76,6 +83,7 @@ def main(arguments: list[str] | None = None) -> int:
                 )
             if not rviz:
                 say(processes.said(name).rstrip())
+            say(NEXT)
             for warning in processes.warnings("ply_publisher"):
                 print(f"demo: {warning}", file=sys.stderr)
     except (ProcessError, SceneError) as error:

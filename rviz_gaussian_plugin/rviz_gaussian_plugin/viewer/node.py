@@ -16,17 +16,19 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
+from rosplat_core.first_look import FirstView as View
 from rosplat_core.log_text import counted, shown
 from rosplat_core.maps import Arrival
 from rosplat_core.rendering import OrderSource, RenderSettings
 from rosplat_core.splats import SceneError
-from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_msgs.msg import FirstView, GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
 from rosplat_ros.batches import apply, array
+from rosplat_ros.first_views import read_first_view
 from rosplat_ros.images import to_image
 from rosplat_ros.map_receiver import MapReceiver
 from rosplat_ros.program.parameters import declare, declare_path
-from rosplat_ros.qos import ORDER, VIEW, overridable
+from rosplat_ros.qos import FIRST_VIEW, ORDER, VIEW, overridable
 from rosplat_ros.view_cameras import numbers
 from rviz_gaussian_plugin.offscreen import Renderer
 from rviz_gaussian_plugin.viewer.orbit import bounds
@@ -136,6 +138,14 @@ class Viewer(Node):
             callback_group=own(),
             **overridable(ORDER),
         )
+        self.first_view: View | None = None  # that the map's publisher offers
+        self.create_subscription(
+            FirstView,
+            f"{topic}/first_view",
+            self._on_first_view,
+            callback_group=own(),
+            **overridable(FIRST_VIEW),
+        )
         if self.serves:
             self.create_service(
                 RenderView, f"{topic}/render", self._on_render, callback_group=own()
@@ -167,6 +177,12 @@ class Viewer(Node):
             )
         self.frame_id = message.header.frame_id
         self.last_batch = time.monotonic()
+
+    def _on_first_view(self, message: FirstView) -> None:
+        try:
+            self.first_view = read_first_view(message)
+        except ValueError as error:
+            self.get_logger().warning(f"{self._map.topic}/first_view: {error}")
 
     def _on_order(self, message: SplatOrder) -> bool:
         """Takes an order; returns whether it is this viewer's and can be drawn."""
@@ -216,6 +232,18 @@ class Viewer(Node):
         if expected and self.renderer.splats + self.renderer.dropped >= expected:
             return True
         return time.monotonic() - self.last_batch > QUIET
+
+    def progress(self) -> str:
+        """What a user who sees no map, or not all of it, should know; empty: it is whole."""
+        splats, expected = self.renderer.splats, self.renderer.expected
+        if not splats:
+            heard = self.count_publishers(self._map.topic)
+            sends = "its publisher has sent nothing yet" if heard else "nobody publishes it"
+            return f"waiting for a map on {self._map.topic}: {sends}"
+        if self.complete():
+            return ""
+        whole = f" of {expected:,}" if expected > splats else ""
+        return f"{splats:,}{whole} splats have come"
 
     def bounds(self) -> tuple[NDArray[np.float64], float]:
         """Centre and radius of the map. [m]"""

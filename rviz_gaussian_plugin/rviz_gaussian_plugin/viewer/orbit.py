@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera, look_at
+from rosplat_core.first_look import FirstView
 
 # Limits of the cameras that the renderer can draw from: 32-bit floats hold the squares of
 # coordinates, and a near plane of 1e-9 to 1e9 m. A map may be larger, or its middle farther away.
@@ -30,6 +31,14 @@ def bounds(positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-3)
 
 
+def _axes(up: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """The axes of yaw 0 and of a quarter turn from it, and the vertical, (3,) each."""
+    up = up / np.linalg.norm(up)
+    side = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
+    side /= np.linalg.norm(side)
+    return np.cross(side, up), side, up
+
+
 @dataclass
 class OrbitCamera:
     """A camera that looks at a point from somewhere on a sphere around it."""
@@ -45,12 +54,21 @@ class OrbitCamera:
         self.target = np.clip(self.target, -FARTHEST, FARTHEST)
         self.distance = float(np.clip(self.distance, NEAREST, FARTHEST))
 
+    @classmethod
+    def of(cls, view: FirstView) -> OrbitCamera:
+        """The camera of a view, about its target."""
+        away = view.eye - view.target
+        distance = float(np.linalg.norm(away))
+        ahead, side, up = _axes(view.up)
+        return cls(
+            target=view.target, distance=distance, up=view.up,
+            yaw=math.atan2(away @ side, away @ ahead),
+            pitch=math.asin(float(np.clip(away @ up / max(distance, NEAREST), -1, 1))),
+        )  # fmt: skip
+
     def camera(self, width: int, height: int) -> Camera:
         """The camera for a picture of width x height [px], with a view 45 degrees high."""
-        up = self.up / np.linalg.norm(self.up)
-        side = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
-        side /= np.linalg.norm(side)
-        ahead = np.cross(side, up)
+        ahead, side, up = _axes(self.up)
         around = math.cos(self.yaw) * ahead + math.sin(self.yaw) * side
         outward = math.cos(self.pitch) * around + math.sin(self.pitch) * up
         # From the direction alone: far from 0, eye and target may round to the same point.

@@ -75,6 +75,12 @@ GaussianDisplay::GaussianDisplay() {
   for (const char* name : {kUnchanged, kAnyBackend, "cupy", "torch", "native", "numpy"}) {
     backend_->addOption(name);
   }
+  fit_view_ = new rviz_common::properties::BoolProperty(
+      "Fit View", false,
+      "Check to have an Orbit view show the map: from where its publisher tells at "
+      "<topic>/first_view (rosplat_msgs/FirstView), or else from outside. Unchecks itself once the "
+      "view is fitted.",
+      this);
   publish_pose_ = new rviz_common::properties::BoolProperty(
       "Publish Camera", false,
       "Publish the pose of the view's camera on <topic>/camera/pose (geometry_msgs/PoseStamped) "
@@ -123,6 +129,7 @@ void GaussianDisplay::reset() {
 void GaussianDisplay::unsubscribe() {
   endService();
   diagnostics_.reset();
+  view_fit_.reset();
   views_.reset();
   client_.reset();  // no more messages into the cloud
   selection_.reset();
@@ -165,6 +172,7 @@ void GaussianDisplay::subscribe() {
     client_ = std::make_unique<GaussianClient>(node, topic, qos_, cloud_->scene());
     views_ = std::make_unique<DrawnViews>(name, cloud_->scene(), *client_);
     diagnostics_ = std::make_unique<Diagnostics>(*node, client_->status().topic);
+    view_fit_ = std::make_unique<ViewFit>(node, client_->status().topic);
     serve();
     const bool other_topic = !loader_ || loader_->topic() != topic;
     if (other_topic) {
@@ -198,6 +206,7 @@ void GaussianDisplay::openScene() {
   }
   if (topic.empty()) topic_->setStdString(scene_topic_);
   if (loader_) loader_->load(path);
+  fit_view_->setBool(true);
 }
 
 bool GaussianDisplay::takeDrop(const QString& path) {
@@ -239,6 +248,7 @@ void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
   client_->watch();
   updateTransform();
   updateHandles();
+  fitView();
   views_->update();
   picks_->updateProperties();
   if (render_service_) render_service_->refuseUnserved();
@@ -280,6 +290,15 @@ void GaussianDisplay::updateHandles() {
         context_, [this](const ClipBox& box) { settings_->setClipBox(box); });
   }
   handles_->show(settings_->get().clip_box, client_->frameId());
+}
+
+void GaussianDisplay::fitView() {
+  if (!placed_ || !fit_view_->getBool() || (loader_ && loader_->loading())) return;
+  const auto view = view_fit_->find(client_->frameId(), cloud_->scene().samplePositions(),
+                                    *context_->getFrameManager());
+  if (!view) return;
+  moveTo(*view, *context_->getViewManager()->getCurrent());
+  fit_view_->setBool(false);
 }
 
 std::string GaussianDisplay::onView(const Ogre::Viewport* viewport, const SplatCamera& camera) {

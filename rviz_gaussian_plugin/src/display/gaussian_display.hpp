@@ -18,6 +18,7 @@
 #include "scene_loader.hpp"
 #include "splat_cloud.hpp"
 #include "splat_selection.hpp"
+#include "view_fit.hpp"
 
 namespace rviz_common::properties {
 class BoolProperty;
@@ -63,6 +64,7 @@ class GaussianDisplay : public rviz_common::Display {
   void publishPicked(const std::vector<SplatValues>& splats);
   void updateTransform();
   void updateHandles();
+  void fitView();
   std::vector<StatusLine> statusLines();
   // Shows these lines and none of those shown before; rviz's own stay.
   void showStatus(std::vector<StatusLine> lines);
@@ -72,6 +74,7 @@ class GaussianDisplay : public rviz_common::Display {
   rclcpp::QoS qos_ = GaussianClient::mapQos();
   rviz_common::properties::FilePickerProperty* scene_file_;
   rviz_common::properties::EnumProperty* backend_;
+  rviz_common::properties::BoolProperty* fit_view_;  // checked until the view is fitted
   rviz_common::properties::BoolProperty* publish_pose_;
   rviz_common::properties::BoolProperty* serves_;
   std::unique_ptr<DisplaySettings> settings_;
@@ -79,6 +82,7 @@ class GaussianDisplay : public rviz_common::Display {
   std::unique_ptr<SplatCloud> cloud_;
   std::unique_ptr<GaussianClient> client_;  // after cloud_: feeds it
   std::unique_ptr<DrawnViews> views_;       // after client_, as the next
+  std::unique_ptr<ViewFit> view_fit_;
   std::unique_ptr<Diagnostics> diagnostics_;
   std::unique_ptr<RenderService> render_service_;  // if it serves
   std::shared_ptr<SplatSelection> picks_;          // of all displays

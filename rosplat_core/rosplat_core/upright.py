@@ -1,0 +1,180 @@
+"""Which way is up in a scene whose file doesn't tell.
+
+Most surfaces of a scene that was built or grown lie level: floors, tables, streets. So along the
+vertical the splats gather in a few thin layers, and reach less far than along the ground.
+
+1. Some thousand splats are drawn by the area that they cover: a bare floor of few large splats
+   counts like a detailed one.
+2. Directions to try are those that flat splats face, normals of planes through three splats
+   (RANSAC, Fischler and Bolles 1981), and the axes.
+3. The best of them are turned until the layers across them are thinnest.
+4. A direction counts as up by how thin its layers are for its extent, how much lies above the
+   lowest large layer, and how near it is to where trainers have up: -y (COLMAP, first cameras), z
+   (REP-103, nerfstudio), or, where cameras are known, to the top of their pictures.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rosplat_core.cameras import Camera
+from rosplat_core.quaternions import to_matrices
+from rosplat_core.splats import Splats
+
+DRAWN = 8000  # splats that vote
+TRIED = 300  # directions of flat splats, and as many of planes
+REFINED = 5  # directions that are turned to the thinnest layers
+LAYER = 0.02  # thickness of a layer, in the scene's radii
+APART = 0.9  # cosine of two directions that count as one
+OPAQUE = 0.2  # least opacity of a splat that votes
+FINEST = 0.004  # of turning [rad]
+
+# Directions that trainers have up, and how much each is expected.
+CUSTOMS = ((0, -1, 0, 1.0), (0, 0, 1, 1.0), (0, 1, 0, 0.4), (0, 0, -1, 0.3))
+UNCUSTOMARY = 0.15  # what a direction counts that is across all of them
+NEARLY = 0.94  # cosine of 20 degrees, within which a custom is preferred to
+HARDLY_LESS = 0.75  # what is at most so many times as likely
+LEVEL = 1 - 1e-9  # cosine from which a vertical is z
+STEADY = 0.5  # least length of the mean of the cameras' verticals, for it to be believed
+
+
+def find_up(splats: Splats, cameras: Sequence[Camera] = ()) -> NDArray[np.float64]:
+    """The unit vector (3,) that points up in a scene, by its splats and the cameras that took it.
+
+    -y where there is nothing to tell by.
+    """
+    customs = np.array(CUSTOMS, np.float64)
+    if cameras:
+        mean = np.mean([-camera.world_to_camera[1, :3] for camera in cameras], axis=0)
+        if np.linalg.norm(mean) > STEADY:
+            customs = np.array([[*(mean / np.linalg.norm(mean)), 1.0]])
+    random = np.random.default_rng(0)
+    points, normals, flatness = _voters(splats, random)
+    if len(points) < 3:
+        best: NDArray[np.float64] = customs[0, :3]
+        return best
+    tried = np.concatenate(
+        [
+            normals[random.choice(len(points), TRIED, p=flatness / flatness.sum())],
+            _planes(points, random),
+            np.eye(3),
+            customs[:, :3],
+        ]
+    )
+    candidates = [*np.eye(3), *customs[:, :3]]
+    thinness = np.array([_thinness(points @ normal) for normal in tried])
+    for _ in range(REFINED):
+        if not (first := thinness.argmax()) and not thinness[0] > 0:
+            break
+        candidates.append(_thinnest(points, tried[first]))
+        thinness[np.abs(tried @ tried[first]) > APART] = 0
+    signed = [sign * candidate for candidate in candidates for sign in (1.0, -1.0)]
+    found = max(signed, key=lambda up: _likelihood(points @ up, up, customs))
+    custom = customs[(customs[:, :3] @ found).argmax(), :3]
+    # Few or noisy splats have layers in many directions.
+    if custom @ found > NEARLY and HARDLY_LESS * _likelihood(
+        points @ found, found, customs
+    ) < _likelihood(points @ custom, custom, customs):
+        found = custom
+    up: NDArray[np.float64] = found
+    return up
+
+
+def standing_pose(splats: Splats, up: ArrayLike) -> NDArray[np.float64]:
+    """The pose (4, 4) in which a scene stands upright in a frame whose z points up. [m]
+
+    The scene turns no more than it must, and its ground is at a height of 0. One whose vertical is
+    z already stays where it is.
+    """
+    pose = np.eye(4)
+    vertical = np.asarray(up, np.float64) / np.linalg.norm(up)
+    if vertical[2] > LEVEL:
+        return pose
+    axis = np.array([*np.eye(3)[0]]) if vertical[2] < -LEVEL else np.cross(vertical, (0, 0, 1))
+    axis /= np.linalg.norm(axis)
+    turn = math.acos(min(1, max(-1, float(vertical[2]))))
+    pose[:3, :3] = to_matrices([*(axis * math.sin(turn / 2)), math.cos(turn / 2)])
+    heights = splats.positions[splats.opacities > OPAQUE].astype(np.float64) @ vertical
+    ground = np.quantile(heights, 0.02) if len(heights) else 0.0
+    pose[2, 3] = -(ground + splats.origin @ vertical)
+    return pose
+
+
+def _voters(
+    splats: Splats, random: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Positions (n, 3) [radii] from the middle, ways that splats face (n, 3), flatness (n,)."""
+    rows = np.flatnonzero(splats.opacities > OPAQUE)
+    rows = random.permutation(rows)[: 25 * DRAWN] if len(rows) > 25 * DRAWN else rows
+    positions = splats.positions[rows].astype(np.float64)
+    if not len(rows):
+        return positions, positions, np.zeros(0)
+    low, high = np.quantile(positions, [0.05, 0.95], axis=0)
+    radius = max(float(np.linalg.norm(high - low)) / 2, 1e-30)
+    positions = (positions - (low + high) / 2) / radius
+    near = np.linalg.norm(positions, axis=1) < 1.3
+    rows, positions = rows[near], positions[near]
+    scales = np.sort(splats.scales[rows].astype(np.float64), axis=1)
+    areas = splats.opacities[rows] * scales[:, 1] * scales[:, 2]
+    areas = np.minimum(areas, np.quantile(areas, 0.95)) if len(areas) else areas
+    if not areas.sum() > 0:
+        return positions[:0], positions[:0], np.zeros(0)
+    drawn = random.choice(len(rows), min(len(rows), DRAWN), p=areas / areas.sum())
+    rows = rows[drawn]
+    axes = to_matrices(splats.orientations[rows])
+    shortest = splats.scales[rows].argmin(axis=1)
+    flatness = 1 - scales[drawn, 0] / np.maximum(scales[drawn, 1], 1e-30)
+    return positions[drawn], axes[np.arange(len(rows)), :, shortest], flatness + 1e-3
+
+
+def _planes(points: NDArray[np.float64], random: np.random.Generator) -> NDArray[np.float64]:
+    """Unit normals (k, 3) of planes through three of the points each."""
+    a, b, c = points[random.choice(len(points), (3, TRIED))]
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray((normals / np.maximum(lengths, 1e-30))[lengths[:, 0] > 1e-9])
+
+
+def _layers(heights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Shares of the points in layers across a direction. heights (n,): in radii."""
+    counts = np.bincount(((heights + 2.6) / LAYER).astype(np.intp).clip(0, 259), minlength=260)
+    return counts / len(heights)
+
+
+def _thinness(heights: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(_layers(heights)))
+
+
+def _thinnest(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The direction near a normal across which layers are thinnest."""
+    best, step = _thinness(points @ normal), 0.06
+    while step > FINEST:
+        aside = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+        aside /= np.linalg.norm(aside)
+        angles = np.arange(6)[:, None] * np.pi / 3
+        turned = normal + step * (np.cos(angles) * aside + np.sin(angles) * np.cross(normal, aside))
+        turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+        found = [_thinness(points @ direction) for direction in turned]
+        if max(found) > best:
+            best, normal = max(found), turned[int(np.argmax(found))]
+        else:
+            step /= 2
+    return normal
+
+
+def _likelihood(
+    heights: NDArray[np.float64], up: NDArray[np.float64], customs: NDArray[np.float64]
+) -> float:
+    """How likely a direction is up; heights (n,): of points along it, in radii."""
+    low, high = np.quantile(heights, [0.02, 0.98])
+    layers = _layers(heights)
+    ground = np.argmax(layers > 0.5 * layers.max()) * LAYER - 2.6 + LAYER / 2
+    above = float(np.mean(heights > ground + 1.5 * LAYER))
+    below = float(np.mean(heights < ground - 1.5 * LAYER))
+    one_sided = 0.3 + (above + 0.01) / (above + below + 0.02)
+    custom = UNCUSTOMARY + max(0.0, *(customs[:, 3] * (customs[:, :3] @ up).clip(0, 1) ** 4))
+    return float(np.sum(layers**2) / max(high - low, LAYER) * one_sided * custom)

@@ -1,0 +1,112 @@
+"""The view that a scene is shown in first."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from rosplat_core.cameras import Camera, look_at
+from rosplat_core.first_look import FirstView, first_view
+from rosplat_core.generated import generate
+from rosplat_core.rendering import CpuRenderer
+from rosplat_core.splats import Splats, concatenate
+
+Z = (0.0, 0.0, 1.0)
+
+
+def alpha(splats: Splats, view: FirstView) -> NDArray[np.float32]:
+    return CpuRenderer(splats).render(view.camera(160, 90))[..., 3]
+
+
+def border(alpha: NDArray[np.float32]) -> float:
+    return float(np.mean([*alpha[0], *alpha[:, 0], *alpha[:, -1]]))
+
+
+@pytest.fixture(scope="module")
+def garden() -> Splats:
+    return generate(30_000, scene="garden")
+
+
+@pytest.fixture(scope="module")
+def rooms() -> Splats:
+    return generate(60_000, scene="rooms")
+
+
+def test_an_object_is_shown_whole_from_above_its_ground(garden: Splats) -> None:
+    view = first_view(garden, Z)
+    picture = alpha(garden, view)
+    assert picture.mean() > 0.25
+    assert border(picture) < 0.1
+    assert view.eye[2] > 0.2
+
+
+def test_rooms_are_shown_from_within(rooms: Splats) -> None:
+    view = first_view(rooms, Z)
+    low, high = rooms.positions.min(axis=0), rooms.positions.max(axis=0)
+    assert (view.eye > low).all()
+    assert (view.eye < high).all()
+    assert alpha(rooms, view).mean() > 0.95
+
+
+@pytest.mark.parametrize("tilt", [(90, 0, 0), (70, 20, 10)])
+def test_a_view_turns_with_its_scene(garden: Splats, tilt: tuple[float, float, float]) -> None:
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("xyz", tilt, degrees=True).as_matrix()
+    up = pose[:3, 2]
+    view = first_view(garden.moved(pose), up)
+    camera = view.camera(160, 90)
+    right = camera.world_to_camera[0, :3]
+    assert abs(right @ up) < 1e-9  # the horizon is level
+    assert -camera.world_to_camera[1, :3] @ up > 0.5
+    assert border(alpha(garden.moved(pose), view)) < 0.1
+
+
+def test_a_sky_and_floaters_dont_push_the_view_away(garden: Splats) -> None:
+    random = np.random.default_rng(1)
+    away = random.normal(size=(3000, 3))
+    away *= random.uniform(30, 100, (3000, 1)) / np.linalg.norm(away, axis=1, keepdims=True)
+    sky = replace(
+        garden[np.zeros(3000, int)], positions=away, scales=np.full((3000, 3), 2.0),
+        opacities=np.full(3000, 0.8),
+    )  # fmt: skip
+    view = first_view(concatenate([garden, sky]), Z)
+    assert np.linalg.norm(view.eye) < 12
+    assert alpha(garden, view).mean() > 0.2  # of the garden alone
+
+
+def test_far_scenes_and_other_units_give_the_same_picture(garden: Splats) -> None:
+    far = replace(
+        garden, positions=1e3 * garden.positions, scales=1e3 * garden.scales,
+        origin=np.array([4e6, 5e5, 100.0]),
+    )  # fmt: skip
+    expected, found = first_view(garden, Z), first_view(far, Z)
+    np.testing.assert_allclose(found.eye, 1e3 * expected.eye + far.origin, rtol=1e-4)
+
+
+def test_of_cameras_that_took_the_scene_the_best_is_shown(garden: Splats) -> None:
+    away = Camera(0, 640, 480, 500, 500, 320, 240, look_at((4, 0, 1), (9, 0, 1)))
+    there = Camera(1, 640, 480, 500, 500, 320, 240, look_at((4.5, 2, 2), (0, 0, 0.5)))
+    view = first_view(garden, Z, [away, there, away])
+    np.testing.assert_allclose(view.eye, there.position, atol=1e-6)
+    ahead = (view.target - view.eye) / np.linalg.norm(view.target - view.eye)
+    np.testing.assert_allclose(ahead, there.world_to_camera[2, :3], atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 2, 10])
+def test_few_splats_are_looked_at(garden: Splats, count: int) -> None:
+    few = replace(garden[:count], opacities=np.full(count, 0.9))
+    view = first_view(few, Z)
+    assert np.isfinite([*view.eye, *view.target]).all()
+    assert alpha(few, view).max() > 0.01
+
+
+@pytest.mark.parametrize("size", [1e-30, 1e15])
+def test_extreme_sizes_give_finite_views(garden: Splats, size: float) -> None:
+    scene = replace(garden, positions=size * garden.positions, scales=size * garden.scales)
+    view = first_view(scene, Z)
+    assert np.isfinite([*view.eye, *view.target]).all()
+    view.camera(64, 48)

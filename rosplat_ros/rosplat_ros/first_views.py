@@ -1,0 +1,36 @@
+"""First views as FirstView messages, in and out; and the frame that a scene stands upright in."""
+
+from __future__ import annotations
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Vector3
+from std_msgs.msg import Header
+
+from rosplat_core.first_look import FirstView as View
+from rosplat_msgs.msg import FirstView
+
+
+def first_view_message(view: View, frame_id: str, stamp: Time) -> FirstView:
+    """The message for a view of a map in frame_id."""
+    eye, target, up = (
+        dict(zip("xyz", vector.tolist(), strict=True))
+        for vector in (view.eye, view.target, view.up)
+    )
+    return FirstView(
+        header=Header(frame_id=frame_id, stamp=stamp),
+        eye=Point(**eye),
+        target=Point(**target),
+        up=Vector3(**up),
+    )
+
+
+def read_first_view(message: FirstView) -> View:
+    """The view of a message. Raises ValueError for one that is no view."""
+    eye, target, up = (
+        np.array([vector.x, vector.y, vector.z])
+        for vector in (message.eye, message.target, message.up)
+    )
+    if not np.isfinite([eye, target, up]).all() or not up.any() or (eye == target).all():
+        raise ValueError("first_view: not finite, no vertical, or the eye is the target")
+    return View(eye, target, up / np.linalg.norm(up))

@@ -1,0 +1,206 @@
+"""A stand-in for the command ros2, for machines whose ROS 2 comes from PyPI, which has none."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import rclpy
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+
+from rosplat_core.program.output import say
+from rosplat_ros.program.processes import ProcessError, node_command
+
+DISCOVERY = 1.0  # [s]
+PATIENCE = 5.0  # for the answer of a node [s]
+VALUES = {
+    ParameterType.PARAMETER_BOOL: "bool_value",
+    ParameterType.PARAMETER_INTEGER: "integer_value",
+    ParameterType.PARAMETER_DOUBLE: "double_value",
+    ParameterType.PARAMETER_STRING: "string_value",
+    ParameterType.PARAMETER_BOOL_ARRAY: "bool_array_value",
+    ParameterType.PARAMETER_INTEGER_ARRAY: "integer_array_value",
+    ParameterType.PARAMETER_DOUBLE_ARRAY: "double_array_value",
+    ParameterType.PARAMETER_STRING_ARRAY: "string_array_value",
+}
+"""A parameter's type: the field with its value."""
+
+
+class CommandError(RuntimeError):
+    """What a user asked for that there isn't; the text says what."""
+
+
+def run_program(options: argparse.Namespace) -> None:
+    """Becomes a package's program."""
+    try:
+        command = node_command(options.package, options.program, *options.arguments)
+    except ProcessError as error:
+        raise CommandError(str(error)) from error
+    program = Path(command[0])
+    if not program.is_file():
+        there = ", ".join(sorted(path.name for path in program.parent.glob("*"))) or "none"
+        raise CommandError(f"{options.package} has no program {options.program}, it has {there}")
+    os.execv(program, command)
+
+
+def list_topics(node: Node, options: argparse.Namespace) -> None:
+    """Prints the names of topics, or their types as well."""
+    for name, types in sorted(node.get_topic_names_and_types()):
+        say(f"{name} [{', '.join(types)}]" if options.show_types else name)
+
+
+def list_nodes(node: Node, options: argparse.Namespace) -> None:
+    """Prints the full names of nodes."""
+    found = {f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()}
+    for name in sorted(found - {node.get_fully_qualified_name()}):
+        if options.all or not name.rpartition("/")[2].startswith("_"):
+            say(name)
+
+
+def echo_topic(node: Node, options: argparse.Namespace) -> None:
+    """Prints messages of a topic; of long arrays, how many elements there are."""
+    topic = options.topic if options.topic.startswith("/") else f"/{options.topic}"
+    types = dict(node.get_topic_names_and_types()).get(topic)
+    if not types:
+        raise CommandError(f"nobody publishes {topic}")
+    publishers = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]
+    offered = publishers[0] if len(publishers) == 1 else qos_profile_sensor_data
+    profile = QoSProfile(depth=10, reliability=offered.reliability, durability=offered.durability)
+    heard = []
+
+    def show(message: object) -> None:
+        say(f"{_text(message)}\n---")
+        heard.append(message)
+
+    package, _, name = types[0].split("/")
+    kind = getattr(__import__(f"{package}.msg", fromlist=[name]), name)
+    node.create_subscription(kind, topic, show, profile)
+    while not (options.once and heard):
+        rclpy.spin_once(node, timeout_sec=0.1)
+
+
+def _text(value: object, indent: str = "") -> str:
+    """A message as lines of names and values."""
+    lines = []
+    for name in value.get_fields_and_field_types():  # type: ignore[attr-defined]
+        part = getattr(value, name)
+        if hasattr(part, "get_fields_and_field_types"):
+            lines.append(f"{indent}{name}:\n{_text(part, indent + '  ')}")
+        elif not isinstance(part, str) and hasattr(part, "__len__") and len(part) > 16:
+            lines.append(f"{indent}{name}: <{len(part):,} elements>")
+        else:
+            shown = list(part) if not isinstance(part, str) and hasattr(part, "__len__") else part
+            lines.append(f"{indent}{name}: {shown}")
+    return "\n".join(lines)
+
+
+def _ask(node: Node, service: type, name: str, request: object) -> object:
+    client = node.create_client(service, name)
+    if not client.wait_for_service(PATIENCE):
+        raise CommandError(f"nobody serves {name}")
+    answer = client.call_async(request)
+    rclpy.spin_until_future_complete(node, answer, timeout_sec=PATIENCE)
+    if not answer.done():
+        raise CommandError(f"{name} gives no answer")
+    return answer.result()
+
+
+def _full(name: str) -> str:
+    return name if name.startswith("/") else f"/{name}"
+
+
+def list_parameters(node: Node, options: argparse.Namespace) -> None:
+    """Prints the names of a node's parameters."""
+    name = f"{_full(options.node)}/list_parameters"
+    answer = _ask(node, ListParameters, name, ListParameters.Request())
+    say("\n".join(answer.result.names))  # type: ignore[attr-defined]
+
+
+def get_parameter(node: Node, options: argparse.Namespace) -> None:
+    """Prints the value of a node's parameter."""
+    request = GetParameters.Request(names=[options.parameter])
+    answer = _ask(node, GetParameters, f"{_full(options.node)}/get_parameters", request)
+    values = answer.values  # type: ignore[attr-defined]
+    if not values or values[0].type == ParameterType.PARAMETER_NOT_SET:
+        raise CommandError(f"{options.node} has no parameter {options.parameter}")
+    say(f"{getattr(values[0], VALUES[values[0].type])}")
+
+
+def describe_parameter(node: Node, options: argparse.Namespace) -> None:
+    """Prints what a node's parameter is for."""
+    request = DescribeParameters.Request(names=[options.parameter])
+    name = f"{_full(options.node)}/describe_parameters"
+    descriptors = _ask(node, DescribeParameters, name, request).descriptors  # type: ignore[attr-defined]
+    if not descriptors:
+        raise CommandError(f"{options.node} has no parameter {options.parameter}")
+    say(f"{options.parameter}: {descriptors[0].description}")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="ros2",
+        description=__doc__,
+        epilog="launch, bag, service and the rest come with an installed ROS 2.",
+    )
+    verbs = parser.add_subparsers(required=True, metavar="COMMAND")
+    run = verbs.add_parser("run", help="run a package's program", prefix_chars="\0", add_help=False)
+    run.add_argument("package")
+    run.add_argument("program")
+    run.add_argument("arguments", nargs=argparse.REMAINDER)
+    run.set_defaults(work=run_program)
+
+    def group(name: str, what: str) -> Callable[..., argparse.ArgumentParser]:
+        parts = verbs.add_parser(name, help=what).add_subparsers(required=True, metavar="COMMAND")
+
+        def verb(
+            part: str, work: Callable[[Node, argparse.Namespace], None], *names: str
+        ) -> argparse.ArgumentParser:
+            made = parts.add_parser(part, help=work.__doc__, description=work.__doc__)
+            for argument in names:
+                made.add_argument(argument)
+            made.set_defaults(work=work)
+            return made
+
+        return verb
+
+    topic, node, param = (
+        group("topic", "topics"),
+        group("node", "nodes"),
+        group("param", "parameters"),
+    )
+    topic("list", list_topics).add_argument("-t", "--show-types", action="store_true")
+    topic("echo", echo_topic, "topic").add_argument("--once", action="store_true")
+    node("list", list_nodes).add_argument(
+        "-a", "--all", action="store_true", help="hidden ones, too"
+    )
+    param("list", list_parameters, "node")
+    param("get", get_parameter, "node", "parameter")
+    param("describe", describe_parameter, "node", "parameter")
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; 1 where there isn't what it asks for."""
+    options = _parser().parse_args(arguments)
+    try:
+        if options.work is run_program:
+            run_program(options)
+        rclpy.init(args=[])
+        node = rclpy.create_node(f"_ros2_{os.getpid()}")
+        time.sleep(DISCOVERY)
+        options.work(node, options)
+    except CommandError as error:
+        print(f"ros2: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    finally:
+        rclpy.try_shutdown()
+    return 0

@@ -1,0 +1,57 @@
+"""The stand-in for the command ros2."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+from rclpy.node import Node
+from std_msgs.msg import Float64MultiArray
+
+from rosplat_ros.program import ros2
+from rosplat_ros.program.parameters import declare
+from rosplat_ros.program.running import spinning
+from rosplat_testing import PATIENCE
+
+
+def said(*words: str) -> str:
+    """What the command prints, in a process of its own."""
+    command = [sys.executable, "-c", "from rosplat_ros.program.ros2 import main; exit(main())"]
+    done = subprocess.run(
+        [*command, *words], capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
+    return done.stdout + done.stderr
+
+
+def test_run_becomes_a_package_s_program() -> None:
+    assert said("run", "rosplat_tools", "inspect", "--help").startswith("usage: inspect ")
+    assert "it has" in said("run", "rosplat_tools", "nothing")
+    assert "nothing is not installed" in said("run", "nothing", "inspect")
+
+
+def test_topics_nodes_and_parameters_are_told() -> None:
+    import rclpy
+
+    rclpy.init()
+    node = Node("told")
+    declare(node, "size", 7, "How large it is. [m]", 1, 9)
+    publisher = node.create_publisher(Float64MultiArray, "numbers", 1)
+    with spinning(node):
+        node.create_timer(0.1, lambda: publisher.publish(Float64MultiArray(data=[1.0] * 20)))
+        assert "/numbers [std_msgs/msg/Float64MultiArray]" in said("topic", "list", "-t")
+        assert "/told" in said("node", "list")
+        assert "size" in said("param", "list", "told").splitlines()
+        assert said("param", "get", "/told", "size") == "7\n"
+        assert "How large it is. [m]" in said("param", "describe", "told", "size")
+        assert "has no parameter" in said("param", "get", "told", "none")
+        echoed = said("topic", "echo", "--once", "/numbers")
+        assert "data: <20 elements>" in echoed
+        assert echoed.rstrip().endswith("---")
+    assert "nobody publishes /silence" in said("topic", "echo", "/silence")
+
+
+def test_what_there_is_not_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        ros2.main(["--help"])
+    assert "come with an installed ROS 2" in capsys.readouterr().out
