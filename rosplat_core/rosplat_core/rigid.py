@@ -25,7 +25,9 @@ def rigid(transform: ArrayLike, name: str) -> NDArray[np.float64]:
     except (TypeError, ValueError, OverflowError):
         matrix = np.empty(0)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        got = matrix.shape if matrix.size else type(transform).__name__
+        got = "numbers that are not" if matrix.shape == (4, 4) else f"shape {np.shape(matrix)}"
+        if not matrix.size:
+            got = type(transform).__name__
         raise ValueError(f"{name}: expected 4x4 finite numbers, got {got}")
     rotation = matrix[:3, :3]
     off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())

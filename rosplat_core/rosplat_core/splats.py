@@ -15,6 +15,7 @@ from rosplat_core.channels import joined
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
 from rosplat_core.quaternions import from_matrices, product
+from rosplat_core.rigid import rigid
 
 _log = logging.getLogger(__name__)
 _said: set[str] = set()  # what was warned of, once in a process
@@ -230,10 +231,11 @@ class Splats:
     def moved(self, pose: ArrayLike) -> Splats:
         """The same splats in another frame.
 
-        pose: their present frame in the other one, a rigid transform (4, 4) [m]. Orientations and
-        harmonics turn with it; the origin becomes the old origin's place in the other frame.
+        pose: their present frame in the other one, a rigid transform (4, 4) [m], or ValueError.
+        Orientations and harmonics turn with it; the origin becomes the old origin's place in the
+        other frame.
         """
-        pose = np.asarray(pose, np.float64)
+        pose = rigid(pose, "pose")
         rotation = pose[:3, :3]
         return replace(
             self,

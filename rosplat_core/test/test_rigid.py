@@ -37,7 +37,7 @@ def test_a_rotation_that_is_slightly_off(
         (scaled(1.006), "pose: expected a rotation"),
         (np.diag([1.0, 1, -1, 1]), "pose: expected a rotation"),
         (np.full((4, 4), np.nan), "4x4 finite"),
-        (np.eye(3), r"4x4 finite numbers, got \(3, 3\)"),
+        (np.eye(3), r"4x4 finite numbers, got shape \(3, 3\)"),
         ("here", "4x4 finite numbers, got str"),
     ],
 )

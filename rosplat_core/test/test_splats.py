@@ -53,7 +53,7 @@ def test_an_origin_that_is_not_finite_is_refused(wrong: float) -> None:
         splats(5, origin=np.array([0, wrong, 0]))
     pose = np.eye(4)
     pose[0, 3] = wrong
-    with pytest.raises(ValueError, match="origin: not finite"):
+    with pytest.raises(ValueError, match="pose: expected 4x4 finite numbers"):
         splats(5).moved(pose)
 
 

@@ -188,7 +188,7 @@ def test_a_quaternion_of_any_length_is_made_a_unit(length: float) -> None:
 @pytest.mark.parametrize(
     ("poses", "named"),
     [
-        ({0: np.eye(3)}, r"poses\[0\]: expected 4x4 finite numbers, got \(3, 3\)"),
+        ({0: np.eye(3)}, r"poses\[0\]: expected 4x4 finite numbers, got shape \(3, 3\)"),
         ({5: 2 * np.eye(4)}, r"poses\[5\]: expected a rotation"),
         ({1: np.diag([1, 1, -1, 1])}, r"poses\[1\]: expected a rotation"),
         ({-1: np.eye(4)}, "group"),

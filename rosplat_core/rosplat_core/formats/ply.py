@@ -38,6 +38,7 @@ from rosplat_core.formats.decoded import (
 from rosplat_core.formats.ply_file import Element, PlyFile, Rows, header
 from rosplat_core.formats.quantised import sigmoid
 from rosplat_core.harmonics import C0 as SH_C0
+from rosplat_core.log_text import shown
 from rosplat_core.models import Model
 from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
 
@@ -104,7 +105,8 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads the vertices of a PLY as splats; see from_rows."""
     file = PlyFile(path)
     if "vertex" not in file.elements:
-        raise SceneError(f"{path}: not a Gaussian splat: no element vertex")
+        names = shown(", ".join(file.elements) or "none")
+        raise SceneError(f"{path}: not a Gaussian splat: no element vertex, only {names}")
     if not file.is_text:
         file.elements["vertex"] = _with_halves(file.elements["vertex"])
     claim(path, file.elements["vertex"].length, 0, size_of(path))
