@@ -220,7 +220,7 @@ def _begin_anew(parameters: list[str]) -> None:
 
 def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
-    take_ros_arguments_only("sorter", __doc__)
+    take_ros_arguments_only("sorter", __doc__, lambda: SorterNode().destroy_node())
     give_back_large_blocks()
     take_little_shared_memory()
     # ROS's own handlers end it: a KeyboardInterrupt could come in the middle of an import.

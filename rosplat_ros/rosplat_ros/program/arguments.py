@@ -13,17 +13,18 @@ from rosplat_ros.program.parameter_help import declared_by, described
 
 
 def take_ros_arguments_only(
-    program: str, description: str | None, body: Callable[[], None]
+    program: str, description: str | None, body: Callable[[], None], usage: str = ""
 ) -> None:
     """Answers --help; ends the program at an argument that isn't ROS's, such as a scene's path.
 
-    body: of the program, by which --help finds its parameters.
+    body: of the program, by which --help finds its parameters. usage: another way to call it.
     """
     parser = argparse.ArgumentParser(
         prog=program,
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        usage=f"{program} [--ros-args [-p PARAMETER:=VALUE] [-r TOPIC:=OTHER] ...]",
+        usage=f"{program} [--ros-args [-p PARAMETER:=VALUE] [-r TOPIC:=OTHER] ...]"
+        + (f"\n       {usage}" if usage else ""),
     )
     if {"-h", "--help"} & set(sys.argv[1:]):
         parser.epilog = described(declared_by(body))

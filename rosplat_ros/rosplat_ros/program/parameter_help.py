@@ -21,6 +21,7 @@ asked = False
 
 TYPES = {bool: "true or false", int: "whole number", float: "number", str: "text", list: "list"}
 WIDTH = 100
+OF_RCLPY = ("use_sim_time", "start_type_description_service")  # which every node has
 
 Declared = dict[str, tuple[Any, ParameterDescriptor]]
 """Defaults and descriptors by name."""
@@ -48,6 +49,7 @@ def declared_by(body: Callable[[], None]) -> Declared:
         declared[name] = (given.get("value"), descriptor)
         return declare(node, name, *arguments, **named)
 
+    environment = dict(os.environ)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"  # nobody is to meet this node
     Node.declare_parameter = record  # type: ignore[method-assign, assignment]
     asked = True
@@ -59,6 +61,8 @@ def declared_by(body: Callable[[], None]) -> Declared:
         asked = False
         Node.declare_parameter = declare  # type: ignore[method-assign]
         rclpy.try_shutdown()
+        os.environ.clear()
+        os.environ.update(environment)
     return declared
 
 
@@ -66,10 +70,12 @@ def described(declared: Declared) -> str:
     """A text about parameters, one after the other."""
     lines = ["parameters:"]
     for name, (default, descriptor) in declared.items():
+        if name in OF_RCLPY or name.startswith("qos_overrides."):
+            continue
         kind = TYPES.get(type(default), type(default).__name__)
         ranges = [*descriptor.integer_range, *descriptor.floating_point_range]
         if ranges:
-            kind += f" from {ranges[0].from_value:g} to {ranges[0].to_value:g}"
+            kind += f" from {ranges[0].from_value:.10g} to {ranges[0].to_value:.10g}"
         shown = str(default).lower() if isinstance(default, bool) else repr(default)
         lines.append(f"  {name} ({kind}, default {shown})")
         lines += textwrap.wrap(

@@ -18,7 +18,7 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosplat_core.program.output import say
 from rosplat_ros.program.processes import ProcessError, node_command
 
-DISCOVERY = 1.0  # [s]
+DISCOVERY = 1.5  # [s]
 PATIENCE = 5.0  # for the answer of a node [s]
 VALUES = {
     ParameterType.PARAMETER_BOOL: "bool_value",

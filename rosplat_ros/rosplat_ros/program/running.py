@@ -60,10 +60,11 @@ def run_node(
     make: Callable[[], AnyNode],
     work: Callable[[AnyNode], None] | None = None,
     threads: int = 1,
+    usage: str = "",
 ) -> None:
     """Runs a node as `run` does: its callbacks in threads of their own, its work in this one.
 
-    work: by default waits for a signal.
+    work: by default waits for a signal. usage: another way to call the program, for --help.
     """
 
     def body() -> None:
@@ -71,11 +72,11 @@ def run_node(
         with spinning(node, threads):
             (work or wait_for_end)(node)
 
-    _run(program, body, make.__module__)
+    _run(program, body, make.__module__, usage)
 
 
-def _run(program: str, body: Callable[[], None], module: str) -> None:
-    take_ros_arguments_only(program, sys.modules[module].__doc__, body)
+def _run(program: str, body: Callable[[], None], module: str, usage: str = "") -> None:
+    take_ros_arguments_only(program, sys.modules[module].__doc__, body, usage)
     give_back_large_blocks()
     try:
         # rclpy's own handlers shut ROS down under code that is just using it.

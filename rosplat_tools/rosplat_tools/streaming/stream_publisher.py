@@ -46,18 +46,19 @@ class StreamPublisher(Node):
             self, "error", 1.0, "Chunks are refined while their splats are farther apart. [px]",
             1e-3, 1e3,
         )  # fmt: skip
+        first_views = FirstViews(self, frame_id)
+        compression = declare_compression(self)
         if not path:
             raise SceneError("parameter path: expected a streamed SOG's lod-meta.json, got none")
         scene = open_streamed(Path(path))
         self._views: dict[str, FollowedView] = {}
         self._looked = threading.Event()
-        first_views = FirstViews(self, frame_id)
         try:
             coarsest = read_coarsest(scene, self.get_logger().warning)
             first_views.offer(first_views.find(path, coarsest))
         except SceneError as error:  # of one chunk: the others are shown
             self.get_logger().warning(f"no first view is found: {error}")
-        publisher = MapPublisher(self, frame_id=frame_id, compression=declare_compression(self))
+        publisher = MapPublisher(self, frame_id=frame_id, compression=compression)
         self._map = StreamedMap(
             scene, publisher, budget=most, target=target, warn=self.get_logger().warning
         )
