@@ -263,6 +263,7 @@ def test_the_order_given_is_the_order_drawn(host: Host) -> None:
     host.look(CAMERAS["outside"])
     slots = np.random.default_rng(3).permutation(300)[:200].astype(np.uint32)
     host.renderer.set_order("test", host.sequence, str(host.map), 1, "mine", 0.001, slots)
+    host.renderer.upload(all=True)
     assert host.renderer.has_order("test")
     report = host.renderer.draw("test")
     expected = reference.render(splats, CAMERAS["outside"], order=slots).rgba
@@ -286,6 +287,7 @@ def test_orders_that_travelled_are_drawn_like_those_given(host: Host) -> None:
         )  # fmt: skip
 
     def drawn() -> np.ndarray:
+        host.renderer.upload(all=True)
         assert host.renderer.has_order("test")
         host.renderer.draw("test")
         return host.renderer.read_color()
@@ -317,6 +319,7 @@ def test_orders_that_travelled_are_drawn_like_those_given(host: Host) -> None:
     assert host.renderer.segment_key == 0
     host.look(CAMERAS["inside"])
     offer(encoding=PACKED, packed=pack(np.array([300], np.uint32), 9), count=1, slot_bits=9)
+    host.renderer.upload(all=True)
     assert not host.renderer.has_order("test")  # no such slot
 
 

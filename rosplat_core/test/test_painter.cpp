@@ -37,7 +37,7 @@ struct Studio {
   std::shared_ptr<PaintRequest> request(const char* detail, bool interactive = false,
                                         double x = 0) const {
     auto request = std::make_shared<PaintRequest>();
-    PaintLayer& layer = request->layers.emplace_back();
+    auto& layer = request->layers.emplace_back();
     layer.map = copy;
     layer.camera.translation[0] = -x;
     layer.camera.fx = layer.camera.fy = 100;
@@ -108,7 +108,7 @@ TEST(Painter, PaintsAGivenOrderInFull) {
   Studio studio;
   studio.write(20000, GaussianBatch::REPLACE);
   auto request = std::make_shared<PaintRequest>(*studio.request("8px"));
-  request->layers[0].unsorted = true;
+  request->layers[0].settings.order = OrderSource::kOff;
   studio.painter.paintNow("view", studio.request("8px"));
   const PaintingPtr painting = studio.painter.paintNow("view", request);
   EXPECT_EQ(painting->maps[0].error, 0);
@@ -125,7 +125,7 @@ TEST(Painter, PaintsAMapThatWentOnByDepthAndNotInAnOrderOfBefore) {
   for (std::uint32_t slot = 0; slot < 500; ++slot) order->slots.push_back(slot);
   order->bound = 500;
   auto request = std::make_shared<PaintRequest>(*studio.request("full"));
-  request->layers[0].order = order;
+  request->layers[0].order.order = order;
   const PaintingPtr given = studio.painter.paintNow("view", request);
   EXPECT_EQ(given->maps[0].order, order);
   EXPECT_LE(given->maps[0].drawn, 500u);

@@ -169,14 +169,14 @@ class SoftwareRendererTest : public testing::Test {
     renderer_->painter().add(map);
     return map;
   }
-  ViewedMap viewed(const SplatCamera& camera, bool interactive = true,
-                   const char* view = "view") const {
+  Layer<PaintedMapPtr> viewed(const SplatCamera& camera, bool interactive = true,
+                              const char* view = "view") const {
     RenderSettings settings;
     settings.interactive = interactive;
-    return {view, map_, camera, settings, nullptr, source_.map.state()};
+    return {map_, view, camera, settings, {}, source_.map.state()};
   }
   PaintingPtr draw(const SplatCamera& camera, bool interactive = true, const char* view = "view") {
-    return renderer_->draw({viewed(camera, interactive, view)}, Canvas::kWindow);
+    return renderer_->draw({{viewed(camera, interactive, view)}}, Canvas::kWindow);
   }
   // Until the picture of this camera is shown.
   void rest(const Window& window, const SplatCamera& camera, const char* view = "view") {
@@ -252,7 +252,7 @@ TEST_F(SoftwareRendererTest, TheSurfaceIsThatOfTheNewestPictureWhileThePainterPa
   };
   const auto surface = [&](const Window& of, const SplatCamera& camera, double scene_depth = 1) {
     of.clear(scene_depth);
-    renderer_->drawSurface({viewed(camera)}, Canvas::kWindow, kFar);
+    renderer_->drawSurface({{viewed(camera)}}, Canvas::kWindow, kFar);
     const auto bytes = of.pixels();
     std::vector<float> depths;
     for (int row = camera.height - 1; row >= 0; --row) {  // a window's first row is its last
@@ -300,7 +300,7 @@ TEST_F(SoftwareRendererTest, PicksAreMarkedAtOnceAndFoundBeside) {
   const Window window(64, 48);
   const auto pick = [&](const SplatCamera& part) {
     window.clear();
-    renderer_->drawPick({viewed(part, false)}, Canvas::kWindow, kNumber);
+    renderer_->drawPick({{viewed(part, false)}}, Canvas::kWindow, kNumber);
     return std::move(renderer_->pick().front());
   };
   const auto marked = [&](int row, int column) {  // the window's first row is the picture's last
@@ -349,9 +349,9 @@ TEST_F(SoftwareRendererTest, PicksOfSeveralMapsAreFoundBeside) {
   const PaintedMapPtr other_map = addMap(other);
   other.add(2500);
   const auto both = [&] {
-    std::vector<ViewedMap> maps{viewed(camera(), false), viewed(camera(), false, "other's view")};
-    maps.back().map = other_map;
-    maps.back().state = other.map.state();
+    PaintedPicture maps{{viewed(camera(), false), viewed(camera(), false, "other's view")}};
+    maps.layers.back().map = other_map;
+    maps.layers.back().state = other.map.state();
     return maps;
   };
   renderer_->draw(both(), Canvas::kWindow);
@@ -384,10 +384,10 @@ TEST_F(SoftwareRendererTest, PicksOfSeveralMapsAreFoundBeside) {
 TEST_F(SoftwareRendererTest, APickThatCantBeFoundSaysWhy) {
   SplatCamera wide = camera();
   wide.width = wide.height = 1 << 20;
-  renderer_->drawPick({viewed(wide, false)}, Canvas::kNone, 0);
+  renderer_->drawPick({{viewed(wide, false)}}, Canvas::kNone, 0);
   EXPECT_THROW(renderer_->pick().front().slots(), PictureError);
   source_.hold();
-  renderer_->drawPick({viewed(camera(), false)}, Canvas::kNone, 0);
+  renderer_->drawPick({{viewed(camera(), false)}}, Canvas::kNone, 0);
   Pick left = std::move(renderer_->pick().front());
   source_.letGo();
   renderer_.reset();
@@ -447,22 +447,22 @@ TEST_F(SoftwareRendererTest, MapsOfAViewAreOnePictureWhoseverDisplayGoes) {
   other_source.add(500);
   const PaintedMapPtr other = addMap(other_source);
   const auto both = [&](const SplatCamera& camera) {
-    ViewedMap first = viewed(camera), second = viewed(aside(camera), true, "other");
+    Layer<PaintedMapPtr> first = viewed(camera), second = viewed(aside(camera), true, "other");
     second.map = other;
     second.state = other_source.map.state();
-    return std::vector<ViewedMap>{first, second};
+    return PaintedPicture{{first, second}};
   };
-  const auto rest = [&](const std::vector<ViewedMap>& maps) {
+  const auto rest = [&](const PaintedPicture& maps) {
     PaintingPtr painting;
     do {
       std::this_thread::yield();
       window.clear();
       painting = renderer_->draw(maps, Canvas::kWindow);
     } while (!renderer_->exact());
-    EXPECT_EQ(painting->maps.size(), maps.size());
+    EXPECT_EQ(painting->maps.size(), maps.layers.size());
     return window.pixels();
   };
-  const auto alone = rest({both(camera())[1]});
+  const auto alone = rest({{both(camera()).layers[1]}});
   const auto together = rest(both(camera()));
   EXPECT_NE(together, alone);
 
@@ -473,7 +473,7 @@ TEST_F(SoftwareRendererTest, MapsOfAViewAreOnePictureWhoseverDisplayGoes) {
   renderer_->painter().wake();
   other_source.waitUntilReached();
   window.clear();
-  EXPECT_NE(renderer_->draw({both(camera())[1]}, Canvas::kWindow), nullptr);
+  EXPECT_NE(renderer_->draw({{both(camera()).layers[1]}}, Canvas::kWindow), nullptr);
   EXPECT_FALSE(renderer_->exact());
   const auto meanwhile = window.pixels();
   double difference = 0;
@@ -482,14 +482,14 @@ TEST_F(SoftwareRendererTest, MapsOfAViewAreOnePictureWhoseverDisplayGoes) {
   }
   EXPECT_LT(difference / double(together.size()), 1);
   other_source.letGo();
-  rest({both(camera())[1]});
+  rest({{both(camera()).layers[1]}});
 }
 
 TEST_F(SoftwareRendererTest, WhatCantBePaintedSaysWhyAndTheMapStays) {
   const Window window(64, 48);
   SplatCamera wide = camera();
   wide.width = wide.height = 1 << 20;
-  EXPECT_THROW(renderer_->draw({viewed(wide, false)}, Canvas::kNone), PictureError);
+  EXPECT_THROW(renderer_->draw({{viewed(wide, false)}}, Canvas::kNone), PictureError);
   rest(window, camera());
   EXPECT_EQ(window.pixels(), expected(window, camera()));
 }

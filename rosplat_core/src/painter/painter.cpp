@@ -53,9 +53,9 @@ PictureMesh::Cells cellsOf(const std::vector<std::uint8_t>& rgba, int width, int
 }
 
 // The colours as bytes. Clamped before blending: brighter than white stays white over anything.
-PaintedLayer<std::uint8_t> colourLayer(const SplatPicture& picture, ThreadTeam& team) {
+PaintedPart<std::uint8_t> colourLayer(const SplatPicture& picture, ThreadTeam& team) {
   constexpr std::size_t kPart = 1 << 16;  // values
-  PaintedLayer<std::uint8_t> layer;
+  PaintedPart<std::uint8_t> layer;
   const std::size_t all = picture.colour.size();
   layer.values.resize(all);
   inParts(&team, (all + kPart - 1) / kPart, [&](std::size_t part) {
@@ -82,8 +82,8 @@ void forDivided(const SplatPicture& picture, const Each& each) {
 }
 
 // The splats behind translucent objects, as bytes.
-PaintedLayer<std::uint8_t> behindLayer(const SplatPicture& picture, ThreadTeam& team) {
-  PaintedLayer<std::uint8_t> layer;
+PaintedPart<std::uint8_t> behindLayer(const SplatPicture& picture, ThreadTeam& team) {
+  PaintedPart<std::uint8_t> layer;
   if (picture.behind.empty()) return layer;
   layer.values.resize(picture.behind.size());
   forDivided(picture, [&](std::size_t first, std::size_t count) {
@@ -94,8 +94,8 @@ PaintedLayer<std::uint8_t> behindLayer(const SplatPicture& picture, ThreadTeam& 
 }
 
 // The mean window depth of the splats behind translucent objects; 1 where their alpha is below 0.5.
-PaintedLayer<float> hidingLayer(const SplatPicture& picture, ThreadTeam& team) {
-  PaintedLayer<float> layer;
+PaintedPart<float> hidingLayer(const SplatPicture& picture, ThreadTeam& team) {
+  PaintedPart<float> layer;
   const std::vector<float>& nearness = picture.nearness;
   if (nearness.empty()) return layer;
   std::vector<float>& depths = layer.values;
@@ -144,23 +144,22 @@ class LockedMaps {
 
 }  // namespace
 
-bool PaintLayer::operator==(const PaintLayer& o) const {
-  return map == o.map && camera == o.camera && camera.ndc_scale == o.camera.ndc_scale &&
-         camera.ndc_offset == o.camera.ndc_offset && settings.projectsAs(o.settings) &&
-         settings.interactive == o.settings.interactive && order == o.order &&
-         unsorted == o.unsorted && age_tick == o.age_tick;
-}
-
-const PaintLayer* PaintRequest::of(const PaintedMap& map) const {
-  const auto found = std::find_if(layers.begin(), layers.end(), [&map](const PaintLayer& layer) {
-    return layer.map.get() == &map;
-  });
+const Layer<PaintedMapPtr>* PaintRequest::of(const PaintedMap& map) const {
+  const auto found = std::find_if(layers.begin(), layers.end(),
+                                  [&map](const auto& layer) { return layer.map.get() == &map; });
   return found == layers.end() ? nullptr : &*found;
 }
 
 bool PaintRequest::operator==(const PaintRequest& o) const {
-  return layers == o.layers && motion == o.motion && window == o.window &&
-         scene_depth == o.scene_depth && translucent_depth == o.translucent_depth;
+  const auto same = [](const Layer<PaintedMapPtr>& a, const Layer<PaintedMapPtr>& b) {
+    return a.map == b.map && a.camera == b.camera && a.camera.ndc_scale == b.camera.ndc_scale &&
+           a.camera.ndc_offset == b.camera.ndc_offset && a.settings.projectsAs(b.settings) &&
+           a.settings.interactive == b.settings.interactive;
+  };
+  return std::equal(layers.begin(), layers.end(), o.layers.begin(), o.layers.end(), same) &&
+         order() == o.order() && unsorted() == o.unsorted() && age_tick == o.age_tick &&
+         motion == o.motion && window == o.window && scene_depth == o.scene_depth &&
+         translucent_depth == o.translucent_depth;
 }
 
 Painter::Painter() : start_(now()), thread_([this] { run(); }) {}
@@ -334,16 +333,17 @@ void Painter::takeEdits(const std::vector<PaintedMapPtr>& maps, std::size_t most
 }
 
 void Painter::keepViews(const std::vector<PaintedMapPtr>& maps, const std::string& view_id,
-                        const std::vector<PaintLayer>& layers) {
+                        const PaintedPicture& shown) {
   std::set<std::string> views;
   {
     const std::lock_guard lock(mutex_);
     for (const auto& [id, view] : views_) views.insert(id);
   }
   for (const PaintedMapPtr& map : maps) {
-    const bool wanted = std::any_of(layers.begin(), layers.end(), [&map](const PaintLayer& layer) {
-      return layer.map == map && !layer.unsorted && !(layer.settings.drawnDetail() == Detail{});
-    });
+    const auto wants = [&](const Layer<PaintedMapPtr>& layer) {
+      return layer.map == map && !shown.unsorted() && !(layer.settings.drawnDetail() == Detail{});
+    };
+    const bool wanted = std::any_of(shown.layers.begin(), shown.layers.end(), wants);
     map->keepViews(
         [&](const std::string& id) { return views.count(id) > 0 && (wanted || id != view_id); });
   }
@@ -351,7 +351,7 @@ void Painter::keepViews(const std::vector<PaintedMapPtr>& maps, const std::strin
 
 PictureRequest Painter::pictureOf(const PaintRequest& asked) const {
   PictureRequest request;
-  for (const PaintLayer& layer : asked.layers) {
+  for (const auto& layer : asked.layers) {
     PictureLayer& drawn = request.layers.emplace_back();
     drawn.slots = &layer.map->slots();
     drawn.camera = layer.camera;
@@ -368,9 +368,9 @@ void Painter::chooseDetail(const std::string& view_id, PictureRequest& request,
   const PaintRequest& asked = *painting.request;
   const bool waited_for = !asked.interactive();
   for (std::size_t i = 0; i < asked.layers.size(); ++i) {
-    const PaintLayer& layer = asked.layers[i];
+    const auto& layer = asked.layers[i];
     if (layer.settings.drawnDetail() == Detail{}) continue;
-    if (layer.order || layer.unsorted) {
+    if (asked.order() || asked.unsorted()) {
       painting.maps[i].detail_error = "a given order has no levels of detail";
       continue;
     }
@@ -389,7 +389,7 @@ PaintRequestPtr Painter::movedOn(const PaintRequest& request, double seconds) {
   auto later = std::make_shared<PaintRequest>();
   later->layers = request.layers;
   later->window = request.window;
-  for (PaintLayer& layer : later->layers) {
+  for (auto& layer : later->layers) {
     layer.camera = moved(layer.camera, request.motion, seconds);
   }
   const SplatCamera &camera = request.camera(), &there = later->camera();
@@ -405,7 +405,7 @@ bool Painter::paint(const std::string& view_id, const Waiting& job) {
     {
       const std::vector<PaintedMapPtr> maps = this->maps();
       takeEdits(maps, interactive ? kEditBytesPerPicture : kEverything);
-      keepViews(maps, view_id, job.request->layers);
+      keepViews(maps, view_id, *job.request);
     }
     whole = draw(view_id, job);
   } catch (const std::exception& error) {
@@ -431,20 +431,20 @@ bool Painter::draw(const std::string& view_id, const Waiting& job) {
   }
   const PaintRequest& asked = *painting.request;
   PictureRequest request = pictureOf(asked);
-  const PaintLayer& first = asked.layers.front();
   request.depth = PictureDepth::kMean;
   request.cancelled = &cancelled_;
   chooseDetail(view_id, request, painting);
   {
     const LockedMaps maps(asked, request);
     const MapState& state = maps.states().front();
-    if (first.order && first.order->map_id == state.id && first.order->revision == state.revision) {
-      painting.maps.front().order = first.order;
-      request.order = first.order->slots;
+    const OrderPtr order = asked.order();
+    if (order && order->map_id == state.id && order->revision == state.revision) {
+      painting.maps.front().order = order;
+      request.order = order->slots;
     }
     std::vector<std::uint32_t> all;
-    if (first.unsorted) {
-      all = first.map->slots().index().slots(state.capacity);
+    if (asked.unsorted()) {
+      all = asked.map()->slots().index().slots(state.capacity);
       request.order = all;
     }
     for (std::size_t i = 0; i < maps.states().size(); ++i) {

@@ -275,6 +275,11 @@ class Viewer(Node):
     def _wants_orders(self) -> bool:
         return bool(self.renderer.settings.order == OrderSource.SIDECAR)
 
+    def _answered(self, view_id: str) -> bool:
+        """Uploads what waits; whether the sorter's order is then of the view's newest camera."""
+        self.renderer.upload(all=True)
+        return bool(self.renderer.has_order(view_id))
+
     def _views_followed(self) -> bool:
         """Whether others than sorters hear the views, a streaming publisher for example."""
         listeners = self._views.get_subscription_count()
@@ -290,7 +295,7 @@ class Viewer(Node):
         answered = False
         while (
             self._wants_orders()
-            and not (answered := self.renderer.has_order(view_id))
+            and not (answered := self._answered(view_id))
             and time.monotonic() < deadline
         ):
             if not self.context.ok():

@@ -161,6 +161,10 @@ void GaussianDisplay::subscribe() {
       name, kResourceGroup, [this](Ogre::Viewport* viewport, const SplatCamera& camera) {
         return onView(viewport, camera);
       });
+  cloud_->setBeforeView([this] {
+    if (render_service_) render_service_->serve();
+    picks_->refresh();
+  });
   scene_node_->attachObject(cloud_.get());
   picks_ = SplatSelection::ofProcess(context_);
   selection_ =
@@ -302,8 +306,6 @@ void GaussianDisplay::fitView() {
 }
 
 std::string GaussianDisplay::onView(const Ogre::Viewport* viewport, const SplatCamera& camera) {
-  if (render_service_) render_service_->serve();
-  picks_->refresh();
   if (!placed_) return "";
   const bool main =
       viewport == context_->getViewManager()->getCurrent()->getCamera()->getViewport();

@@ -54,11 +54,13 @@ void RenderService::serve() {
     SplatScene& scene = cloud_.scene();
     const bool wanted = cloud_.settings().order == OrderSource::kSidecar;
     view_.setOrdersWanted(wanted);
-    const bool answered = wanted && scene.answered(view_.id(), cloud_.settings());
+    if (wanted) scene.upload(cloud_.settings(), true);
+    const bool answered = wanted && scene.answered(view_.id());
     if (wanted && !answered && Clock::now() < deadline()) {
       if (view_.age() > kAskAgain) view_.ask(view_.camera());
       return;
     }
+    scene.request(view_.id(), settings(), !answered);
     if (!scene.ready(view_.id(), settings(), !answered)) return;
     auto response = draw(!answered);
     request_->answer(response);

@@ -213,7 +213,9 @@ std::vector<std::uint32_t> OffscreenRenderer::pick(const std::string& view_id, i
   picked_ = true;
   SplatScene& scene = this->scene();
   scene.prepare(settings);
-  SplatScene::drawPick({{&scene, view_id, settings, part}}, Canvas::kNone, 0);
+  SplatScene::Picture picture;
+  picture.add(scene, scene.layerUnderMouse(view_id, settings, part));
+  picture.drawPick(Canvas::kNone, 0);
   return scene.pick().front().slots();
 }
 

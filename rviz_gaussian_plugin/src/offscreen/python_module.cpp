@@ -128,13 +128,11 @@ PYBIND11_MODULE(_offscreen, module) {
       .def_readwrite("settings", &OffscreenRenderer::settings)
       .def(
           "has_order",
-          [](OffscreenRenderer& r, const std::string& id) {
-            return r.scene().answered(id, r.settings);
-          },
+          [](OffscreenRenderer& r, const std::string& id) { return r.scene().answered(id); },
           "view_id"_a)
       .def(
-          "upload", [](OffscreenRenderer& r) { r.scene().upload(r.settings); },
-          py::call_guard<py::gil_scoped_release>())
+          "upload", [](OffscreenRenderer& r, bool all) { r.scene().upload(r.settings, all); },
+          "all"_a = false, py::call_guard<py::gil_scoped_release>())
       .def("draw", &draw, "view_id"_a, "sort_now"_a = false)
       .def("read_color",
            [](OffscreenRenderer& r) { return toArray(r.readColor(), {r.height(), r.width(), 4}); })

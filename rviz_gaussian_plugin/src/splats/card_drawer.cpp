@@ -66,41 +66,33 @@ OrderPtr CardDrawer::unsorted() {
   return unsorted_ = std::move(order);
 }
 
-// The order that isn't the card's own, if any.
-OrderPtr CardDrawer::orderOf(const Look& look, bool alone) {
-  if (alone && look.settings.order == OrderSource::kOff) {
-    return static_cast<CardDrawer&>(*look.drawer).unsorted();
-  }
-  return look.order.order;
-}
-
-bool CardDrawer::drawsWith(const Drawer& other) {
+bool CardDrawer::drawsWith(const Drawer& other) const {
   const auto* const on_card = dynamic_cast<const CardDrawer*>(&other);
   return on_card && on_card->renderer_ == renderer_;
 }
 
-std::vector<CardView> CardDrawer::views(const std::vector<Look>& looks) {
-  std::vector<CardView> views;
-  for (const Look& look : looks) {
-    const auto& of = static_cast<const CardDrawer&>(*look.drawer);
-    views.push_back({look.view_id, of.card_, look.camera, look.settings,
-                     orderOf(look, looks.size() == 1), of.map_});
+CardPicture CardDrawer::onCard(const Picture& picture) {
+  CardPicture on_card;
+  for (const auto& [drawer, view_id, camera, settings, order, state] : picture.layers) {
+    auto& of = static_cast<CardDrawer&>(*drawer);
+    on_card.layers.push_back({of.card_, view_id, camera, settings, order, of.map_});
+    if (picture.unsorted()) on_card.layers.back().order.order = of.unsorted();
   }
-  return views;
+  return on_card;
 }
 
-std::vector<FrameReport> CardDrawer::draw(const std::vector<Look>& looks, Canvas,
+std::vector<FrameReport> CardDrawer::draw(const Picture& picture, Canvas,
                                           const Surroundings& around) {
   const auto drawn = renderer_->draw(around);
-  std::vector<FrameReport> reports(looks.size());
-  for (std::size_t i = 0; i < looks.size(); ++i) {
+  const OrderPtr order = picture.unsorted() ? unsorted() : picture.order();
+  std::vector<FrameReport> reports(picture.layers.size());
+  for (std::size_t i = 0; i < reports.size(); ++i) {
     FrameReport& report = reports[i];
-    report.map = looks[i].drawer->map();
+    report.map = picture.layers[i].map->map();
     report.error = drawn[i].error;
     report.detail_error = drawn[i].detail_error;
     report.rasterizer = "tiles";
     report.profile = renderer_->profile();
-    const OrderPtr order = orderOf(looks[i], looks.size() == 1);
     if (!order) {
       report.splats = drawn[i].drawn;
       report.order_source = "gpu";
@@ -110,8 +102,8 @@ std::vector<FrameReport> CardDrawer::draw(const std::vector<Look>& looks, Canvas
     } else {
       report.splats = order->slots.size();
       report.order_source = order->source;
-      report.order_fresh = looks[i].order.fresh;
-      report.order_age = looks[i].order.age;
+      report.order_fresh = picture.layers[i].order.fresh;
+      report.order_age = picture.layers[i].order.age;
       report.sort_time = order->sort_time;
     }
   }

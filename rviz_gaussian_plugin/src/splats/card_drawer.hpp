@@ -29,19 +29,19 @@ class CardDrawer : public Drawer {
     return renderer_->readSlots(*card_, slots);
   }
 
-  bool drawsWith(const Drawer& other) override;
-  void begin(const std::vector<Look>& looks, Canvas canvas) override {
-    renderer_->begin(views(looks), canvas);
+  bool drawsWith(const Drawer& other) const override;
+  void begin(const Picture& picture, Canvas canvas) override {
+    renderer_->begin(onCard(picture), canvas);
   }
-  std::vector<FrameReport> draw(const std::vector<Look>& looks, Canvas canvas,
+  std::vector<FrameReport> draw(const Picture& picture, Canvas canvas,
                                 const Surroundings& around) override;
   void hideFarther(const std::string& view_id) const override { renderer_->hideFarther(view_id); }
   void drawBefore(const std::string& view_id) const override { renderer_->drawBefore(view_id); }
-  void drawSurface(const std::vector<Look>& looks, Canvas canvas, double far_clip) override {
-    renderer_->drawSurface(views(looks), canvas, far_clip);
+  void drawSurface(const Picture& picture, Canvas canvas, double far_clip) override {
+    renderer_->drawSurface(onCard(picture), canvas, far_clip);
   }
-  void drawPick(const std::vector<Look>& looks, Canvas canvas, std::uint32_t number) override {
-    renderer_->drawPick(views(looks), canvas, number);
+  void drawPick(const Picture& picture, Canvas canvas, std::uint32_t number) override {
+    renderer_->drawPick(onCard(picture), canvas, number);
   }
   std::vector<Pick> pick() override { return renderer_->readPick(); }
   std::vector<float> readColor() const override { return renderer_->readColor(); }
@@ -56,8 +56,8 @@ class CardDrawer : public Drawer {
   void hold(const MapState& map) override { map_ = map; }
   void take(const EditQueue::Waiting& arrival);
   OrderPtr unsorted();
-  static OrderPtr orderOf(const Look& look, bool alone);
-  static std::vector<CardView> views(const std::vector<Look>& looks);
+  // The picture with the maps as the card holds them.
+  static CardPicture onCard(const Picture& picture);
 
   std::shared_ptr<SplatRenderer> renderer_;
   Arrivals::Taker taker_;

@@ -9,10 +9,8 @@
 
 #include "gl/canvas.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
-#include "rosplat_core/order/order_book.hpp"
+#include "rosplat_core/order/picture.hpp"
 #include "rosplat_core/views/pick.hpp"
-#include "rosplat_core/views/render_settings.hpp"
-#include "rosplat_core/views/splat_camera.hpp"
 
 namespace rosplat {
 
@@ -50,14 +48,7 @@ enum class DrawnBy { kCard, kProcessor };
 // while it has their Taker. Another Drawer takes over with hold(). Render thread only.
 class Drawer {
  public:
-  // How a view looks at a map.
-  struct Look {
-    Drawer* drawer;  // of the map
-    std::string view_id;
-    SplatCamera camera;
-    RenderSettings settings;
-    OrderBook::Choice order;  // a sidecar's; without one, the drawer sorts
-  };
+  using Picture = rosplat::Picture<Drawer*>;
 
   virtual ~Drawer() = default;
   virtual DrawnBy by() const = 0;
@@ -81,19 +72,23 @@ class Drawer {
   virtual std::vector<SplatValues> readSlots(const std::vector<std::uint32_t>& slots) const = 0;
 
   // Whether both maps can be in one picture, sorted together.
-  virtual bool drawsWith(const Drawer& other) = 0;
-  // Whether the picture for a look is finished, or draw() finishes it. If not, begins that picture.
-  virtual bool ready(const Look&) { return true; }
-  // Begins a picture of maps, this drawer's map among them. draw() follows before the next one.
-  virtual void begin(const std::vector<Look>& /*looks*/, Canvas) {}
+  virtual bool drawsWith(const Drawer& other) const = 0;
+  // The rest draws pictures of maps, this drawer's map among them.
+
+  // Has a picture made that isn't interactive, for draw() to find once it is ready().
+  virtual void request(const Picture&) {}
+  // Whether draw() need not wait for the processor.
+  virtual bool ready(const Picture&) const { return true; }
+  // Begins a picture. draw() follows before the next one.
+  virtual void begin(const Picture&, Canvas) {}
   // Draws the picture into the current framebuffer. Returns a report of each map.
-  virtual std::vector<FrameReport> draw(const std::vector<Look>& looks, Canvas canvas,
+  virtual std::vector<FrameReport> draw(const Picture& picture, Canvas canvas,
                                         const Surroundings& around) = 0;
   // After draw() of a view with translucent objects. SplatRenderer explains these five methods.
   virtual void hideFarther(const std::string& view_id) const = 0;
   virtual void drawBefore(const std::string& view_id) const = 0;
-  virtual void drawSurface(const std::vector<Look>& looks, Canvas canvas, double far_clip) = 0;
-  virtual void drawPick(const std::vector<Look>& looks, Canvas canvas, std::uint32_t number) = 0;
+  virtual void drawSurface(const Picture& picture, Canvas canvas, double far_clip) = 0;
+  virtual void drawPick(const Picture& picture, Canvas canvas, std::uint32_t number) = 0;
   virtual std::vector<Pick> pick() = 0;
   // What draw() drew last; see SplatRenderer.
   virtual std::vector<float> readColor() const = 0;

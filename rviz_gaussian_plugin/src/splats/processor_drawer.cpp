@@ -29,52 +29,44 @@ MapState ProcessorDrawer::reachable() const {
   return taker_.from().error().empty() ? taker_.from().state() : painted_->state();
 }
 
-bool ProcessorDrawer::drawsWith(const Drawer& other) {
+bool ProcessorDrawer::drawsWith(const Drawer& other) const {
   const auto* const painted = dynamic_cast<const ProcessorDrawer*>(&other);
   return painted && painted->renderer_ == renderer_;
 }
 
-ViewedMap ProcessorDrawer::view(const Look& look) {
-  const auto& of = static_cast<const ProcessorDrawer&>(*look.drawer);
-  return {look.view_id, of.painted_, look.camera, look.settings, look.order.order, of.reachable()};
+PaintedPicture ProcessorDrawer::painted(const Picture& picture) {
+  PaintedPicture painted;
+  for (const auto& [drawer, view_id, camera, settings, order, state] : picture.layers) {
+    const auto& of = static_cast<const ProcessorDrawer&>(*drawer);
+    painted.layers.push_back({of.painted_, view_id, camera, settings, order, of.reachable()});
+  }
+  return painted;
 }
 
-std::vector<ViewedMap> ProcessorDrawer::views(const std::vector<Look>& looks) {
-  std::vector<ViewedMap> views;
-  for (const Look& look : looks) views.push_back(view(look));
-  return views;
-}
-
-bool ProcessorDrawer::ready(const Look& look) {
-  ViewedMap waited_for = view(look);
-  waited_for.settings.interactive = false;
-  return renderer_->ready(waited_for);
-}
-
-std::vector<FrameReport> ProcessorDrawer::draw(const std::vector<Look>& looks, Canvas canvas,
+std::vector<FrameReport> ProcessorDrawer::draw(const Picture& picture, Canvas canvas,
                                                const Surroundings& around) {
-  const PaintingPtr painting = renderer_->draw(views(looks), canvas, around);
+  const PaintingPtr painting = renderer_->draw(painted(picture), canvas, around);
   std::vector<FrameReport> reports;
-  for (const Look& look : looks) {
-    const auto& of = static_cast<const ProcessorDrawer&>(*look.drawer);
-    reports.push_back(painting ? of.describe(look, *painting) : FrameReport{});
+  for (const Layer<Drawer*>& layer : picture.layers) {
+    const auto& of = static_cast<const ProcessorDrawer&>(*layer.map);
+    reports.push_back(painting ? of.describe(layer, *painting) : FrameReport{});
     reports.back().rasterizer = "processor";
   }
   return reports;
 }
 
-FrameReport ProcessorDrawer::describe(const Look& look, const Painting& painting) const {
+FrameReport ProcessorDrawer::describe(const Layer<Drawer*>& layer, const Painting& painting) const {
   FrameReport report;
-  const PaintLayer* const layer = painting.request->of(*painted_);
-  if (!layer) return report;  // the map isn't in the picture yet
-  const Painting::OfMap& of = painting.maps[std::size_t(layer - painting.request->layers.data())];
+  const Layer<PaintedMapPtr>* const shown = painting.request->of(*painted_);
+  if (!shown) return report;  // the map isn't in the picture yet
+  const Painting::OfMap& of = painting.maps[std::size_t(shown - painting.request->layers.data())];
   const bool exact = renderer_->exact();
   report.map = of.map;
   report.splats = of.drawn;
   report.error = of.error;
   report.detail_error = of.detail_error;
   report.paint_time = painting.took;
-  if (look.settings.profile) report.profile = painting.profile;
+  if (layer.settings.profile) report.profile = painting.profile;
   if (!exact) {
     // A picture that has been exact at rest is as old as that rest's end.
     report.picture_age = now() - std::max(painting.asked, renderer_->exactUntil());
@@ -83,10 +75,10 @@ FrameReport ProcessorDrawer::describe(const Look& look, const Painting& painting
   if (of.order) {
     report.splats = of.order->slots.size();
     report.order_source = of.order->source;
-    report.order_fresh = exact && look.order.fresh;
-    report.order_age = look.order.order ? look.order.age : report.picture_age;
+    report.order_fresh = exact && layer.order.fresh;
+    report.order_age = layer.order.order ? layer.order.age : report.picture_age;
     report.sort_time = of.order->sort_time;
-  } else if (layer->unsorted) {
+  } else if (painting.request->unsorted()) {
     report.order_source = "nobody";
   } else {
     report.order_source = "processor";

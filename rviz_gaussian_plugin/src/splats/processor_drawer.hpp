@@ -28,17 +28,18 @@ class ProcessorDrawer : public Drawer {
     return painted_->read(slots);
   }
 
-  bool drawsWith(const Drawer& other) override;
-  bool ready(const Look& look) override;
-  std::vector<FrameReport> draw(const std::vector<Look>& looks, Canvas canvas,
+  bool drawsWith(const Drawer& other) const override;
+  void request(const Picture& picture) override { renderer_->request(painted(picture)); }
+  bool ready(const Picture& picture) const override { return renderer_->ready(painted(picture)); }
+  std::vector<FrameReport> draw(const Picture& picture, Canvas canvas,
                                 const Surroundings& around) override;
   void hideFarther(const std::string&) const override { renderer_->hideFarther(); }
   void drawBefore(const std::string&) const override { renderer_->drawBefore(); }
-  void drawSurface(const std::vector<Look>& looks, Canvas canvas, double far_clip) override {
-    renderer_->drawSurface(views(looks), canvas, far_clip);
+  void drawSurface(const Picture& picture, Canvas canvas, double far_clip) override {
+    renderer_->drawSurface(painted(picture), canvas, far_clip);
   }
-  void drawPick(const std::vector<Look>& looks, Canvas canvas, std::uint32_t number) override {
-    renderer_->drawPick(views(looks), canvas, number);
+  void drawPick(const Picture& picture, Canvas canvas, std::uint32_t number) override {
+    renderer_->drawPick(painted(picture), canvas, number);
   }
   std::vector<Pick> pick() override { return renderer_->pick(); }
   std::vector<float> readColor() const override { return renderer_->readColor(); }
@@ -52,9 +53,9 @@ class ProcessorDrawer : public Drawer {
   void hold(const MapState& map) override { painted_->hold(map); }
   Painter& painter() const { return renderer_->painter(); }
   MapState reachable() const;
-  static ViewedMap view(const Look& look);
-  static std::vector<ViewedMap> views(const std::vector<Look>& looks);
-  FrameReport describe(const Look& look, const Painting& painting) const;
+  // The picture with the maps as the painter holds them.
+  static PaintedPicture painted(const Picture& picture);
+  FrameReport describe(const Layer<Drawer*>& layer, const Painting& painting) const;
 
   std::shared_ptr<SoftwareRenderer> renderer_;
   Arrivals::Taker taker_;

@@ -16,34 +16,30 @@ constexpr double kAging = 1.0;         // a picture of ages that is older is pai
 
 bool same(const MapState& a, const MapState& b) { return a.edits == b.edits && a.torn == b.torn; }
 
-// Whether a painting answers a request, for the present states of its maps; a failed one does, too.
-bool shows(const Painting& painting, const PaintRequest& request,
-           const std::vector<ViewedMap>& maps) {
-  const auto as = [](const Painting::OfMap& shown, const ViewedMap& map) {
-    return same(shown.map, map.state);
+// Whether a painting answers a request, for the states of its maps; a failed one does, too.
+bool shows(const Painting& painting, const PaintRequest& request) {
+  const auto as = [](const Painting::OfMap& shown, const Layer<PaintedMapPtr>& layer) {
+    return same(shown.map, layer.state);
   };
-  const auto ages = [](const PaintLayer& layer) { return layer.settings.mode == DrawMode::kAge; };
+  const auto ages = [](const auto& layer) { return layer.settings.mode == DrawMode::kAge; };
   const bool aged = now() - painting.asked - painting.took > kAging &&
                     std::any_of(request.layers.begin(), request.layers.end(), ages);
   if (!(*painting.request == request) || (aged && !request.interactive())) return false;
-  return !painting.error.empty() ||
-         std::equal(painting.maps.begin(), painting.maps.end(), maps.begin(), maps.end(), as);
+  return !painting.error.empty() || std::equal(painting.maps.begin(), painting.maps.end(),
+                                               request.layers.begin(), request.layers.end(), as);
 }
 
-// The first of these maps that a picture shows; null where it shows none.
-const ViewedMap* oneIn(const PaintRequest& picture, const std::vector<ViewedMap>& maps) {
-  const auto found = std::find_if(maps.begin(), maps.end(), [&picture](const ViewedMap& map) {
-    return picture.of(*map.map) != nullptr;
-  });
-  return found == maps.end() ? nullptr : &*found;
+// The first of these layers whose map a painting shows; null where it shows none.
+const Layer<PaintedMapPtr>* oneIn(const PaintRequest& shown, const PaintedPicture& picture) {
+  const auto found = std::find_if(picture.layers.begin(), picture.layers.end(),
+                                  [&](const auto& of) { return shown.of(*of.map) != nullptr; });
+  return found == picture.layers.end() ? nullptr : &*found;
 }
 
-// Converts a camera from the frame of a map to that of the picture's first map. The picture must
-// show the map.
-SplatCamera inFirst(const PaintRequest& picture, const PaintedMap& map, const SplatCamera& camera) {
-  const PaintLayer* const layer = picture.of(map);
-  if (layer == &picture.layers.front()) return camera;
-  return inFrameOf(frameSeenBy(picture.camera(), layer->camera), camera);
+// The camera of a layer in the frame of a painting's first map. The painting must show the map.
+SplatCamera inFirst(const PaintRequest& shown, const Layer<PaintedMapPtr>& layer) {
+  if (layer.map == shown.map()) return layer.camera;
+  return inFrameOf(frameSeenBy(shown.camera(), shown.of(*layer.map)->camera), layer.camera);
 }
 
 // A number of 24 bits as an opaque colour, its lowest byte in blue.
@@ -56,54 +52,54 @@ void putNumber(std::uint8_t* rgba, std::uint32_t number) {
 
 }  // namespace
 
-PaintRequest SoftwareRenderer::requestOf(const std::vector<ViewedMap>& maps) const {
-  PaintRequest request;
-  for (const ViewedMap& map : maps) {
-    PaintLayer& layer = request.layers.emplace_back();
-    layer.map = map.map;
-    layer.camera = map.camera;
-    layer.settings = map.settings;
-    layer.order = map.order;
-    layer.unsorted = maps.size() == 1 && map.settings.order == OrderSource::kOff;
-    if (map.settings.interactive && map.settings.mode == DrawMode::kAge) {
-      layer.age_tick = static_cast<std::uint64_t>(painter_.clock());
-    }
+PaintRequest SoftwareRenderer::requestOf(const PaintedPicture& picture) const {
+  PaintRequest request(picture);
+  const auto ages = [](const auto& layer) {
+    return layer.settings.interactive && layer.settings.mode == DrawMode::kAge;
+  };
+  if (std::any_of(picture.layers.begin(), picture.layers.end(), ages)) {
+    request.age_tick = static_cast<std::uint64_t>(painter_.clock());
   }
   return request;
 }
 
-const std::string& SoftwareRenderer::join(const std::vector<ViewedMap>& maps) {
-  return names_.join(maps, [this](const std::string& name) { drop(name); });
+const std::string& SoftwareRenderer::join(const PaintedPicture& picture) {
+  return names_.join(picture, [this](const std::string& name) { drop(name); });
 }
 
-void SoftwareRenderer::ask(const std::string& name, PaintRequestPtr request,
-                           const std::vector<ViewedMap>& maps) {
-  ShownView& view = views_[name];
-  view.asked = request;
-  view.asked_of.clear();
-  for (const ViewedMap& map : maps) view.asked_of.push_back(map.state);
+const SoftwareRenderer::ShownView* SoftwareRenderer::viewOf(const PaintedPicture& picture) const {
+  const std::string* const name = names_.of(picture.layers.front().view_id);
+  const auto view = name ? views_.find(*name) : views_.end();
+  return view == views_.end() ? nullptr : &view->second;
+}
+
+void SoftwareRenderer::ask(const std::string& name, PaintRequestPtr request) {
+  views_[name].asked = request;
   painter_.ask(name, std::move(request));
 }
 
-bool SoftwareRenderer::asked(const ShownView& view, const PaintRequest& request,
-                             const std::vector<ViewedMap>& maps) {
-  const auto as = [](const MapState& state, const ViewedMap& map) {
-    return same(state, map.state);
+bool SoftwareRenderer::asked(const ShownView& view, const PaintRequest& request) {
+  const auto as = [](const Layer<PaintedMapPtr>& a, const Layer<PaintedMapPtr>& b) {
+    return same(a.state, b.state);
   };
   return view.asked && *view.asked == request &&
-         std::equal(view.asked_of.begin(), view.asked_of.end(), maps.begin(), maps.end(), as);
+         std::equal(view.asked->layers.begin(), view.asked->layers.end(), request.layers.begin(),
+                    request.layers.end(), as);
 }
 
-bool SoftwareRenderer::ready(const ViewedMap& map) {
-  const std::vector<ViewedMap> maps{map};
-  const std::string& name = join(maps);
-  auto request = std::make_shared<PaintRequest>(requestOf(maps));
-  const ShownView& view = views_[name];
-  const PaintingPtr newest = painter_.newest(name);
-  const bool good = newest && (newest->error.empty() || newest->request == view.asked);
-  if (good && (shows(*newest, *request, maps) || overtaken(view, *newest, *request))) return true;
-  if (!asked(view, *request, maps)) ask(name, std::move(request), maps);
-  return false;
+bool SoftwareRenderer::ready(const PaintedPicture& picture) const {
+  const ShownView* const view = viewOf(picture);
+  if (!view) return false;
+  const PaintingPtr newest = painter_.newest(*names_.of(picture.layers.front().view_id));
+  if (!newest || !(newest->error.empty() || newest->request == view->asked)) return false;
+  const PaintRequest request = requestOf(picture);
+  return shows(*newest, request) || overtaken(*view, *newest, request);
+}
+
+void SoftwareRenderer::request(const PaintedPicture& picture) {
+  const std::string& name = join(picture);
+  auto request = std::make_shared<PaintRequest>(requestOf(picture));
+  if (!ready(picture) && !asked(views_[name], *request)) ask(name, std::move(request));
 }
 
 bool SoftwareRenderer::overtaken(const ShownView& view, const Painting& painting,
@@ -111,11 +107,11 @@ bool SoftwareRenderer::overtaken(const ShownView& view, const Painting& painting
   return painting.request == view.asked && painting.error.empty() && *painting.request == request;
 }
 
-PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas canvas,
+PaintingPtr SoftwareRenderer::draw(const PaintedPicture& picture, Canvas canvas,
                                    const Surroundings& around) {
-  const std::string& name = join(maps);
-  const bool interactive = maps.front().settings.interactive;
-  auto request = std::make_shared<PaintRequest>(requestOf(maps));
+  const std::string& name = join(picture);
+  const bool interactive = picture.settings().interactive;
+  auto request = std::make_shared<PaintRequest>(requestOf(picture));
   const SplatCamera& camera = request->camera();
   request->window = canvas != Canvas::kNone;
   ShownView& view = views_[name];
@@ -129,7 +125,7 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
 
   drawn_ = nullptr;
   PaintingPtr painting = painter_.newest(name);
-  exact_ = painting && shows(*painting, *request, maps);
+  exact_ = painting && shows(*painting, *request);
   if (exact_ && !painting->error.empty()) {
     exact_ = false;  // another time it may succeed
     if (std::exchange(view.asked, nullptr) == painting->request) {
@@ -144,26 +140,26 @@ PaintingPtr SoftwareRenderer::draw(const std::vector<ViewedMap>& maps, Canvas ca
     view.shown = painting = nullptr;  // one picture is in memory at a time
     painting = painter_.paintNow(name, request);
     exact_ = true;
-  } else if (!exact_ && asked(view, *request, maps)) {
+  } else if (!exact_ && asked(view, *request)) {
     painter_.hurry(name);  // the camera rests
   } else if (!exact_) {
-    ask(name, request, maps);
+    ask(name, request);
   } else if (interactive && !painting->settled && painting->request == view.asked) {
     request->rests = true;
-    ask(name, request, maps);
+    ask(name, request);
   }
   if (exact_) view.exact_until = now();
   if (!painting || !painting->error.empty()) return nullptr;
   if (!painting->request->window && canvas != Canvas::kNone) return nullptr;
-  const ViewedMap* const in_picture = oneIn(*painting->request, maps);
-  if (!in_picture) return nullptr;
+  const Layer<PaintedMapPtr>* const layer = oneIn(*painting->request, picture);
+  if (!layer) return nullptr;
   drawn_ = &view;
   canvas_ = canvas;
   if (canvas == Canvas::kNone) {
     view.shown = painting;
     return painting;
   }
-  mesh_ = painting->mesh.seenBy(inFirst(*painting->request, *in_picture->map, in_picture->camera));
+  mesh_ = painting->mesh.seenBy(inFirst(*painting->request, *layer));
   show(view, painting);
   glDisable(GL_DEPTH_TEST);
   overlay_.draw(window, view.behind, mesh_, painting->behind.cells);
@@ -202,18 +198,17 @@ void SoftwareRenderer::drawBefore() const {
   overlay_.draw(window, drawn_->colour, mesh_, drawn_->shown->colour.cells);
 }
 
-std::vector<double> SoftwareRenderer::depthsShown(const std::vector<ViewedMap>& maps,
+std::vector<double> SoftwareRenderer::depthsShown(const PaintedPicture& picture,
                                                   const std::vector<float>& scene_depth,
                                                   float least_alpha) const {
-  const std::string* const name = names_.of(maps.front().view_id);
-  const auto view = name ? views_.find(*name) : views_.end();
-  if (view == views_.end() || !view->second.shown) return {};
-  const Painting& shown = *view->second.shown;
-  const ViewedMap* const map = oneIn(*shown.request, maps);
-  if (!map) return {};
-  const SplatCamera& camera = map->camera;
-  const SplatCamera in_first = inFirst(*shown.request, *map->map, camera);
-  std::vector<double> depths = shown.surface.seenBy(in_first, shown.colour.values, least_alpha);
+  const ShownView* const view = viewOf(picture);
+  if (!view || !view->shown) return {};
+  const Painting& shown = *view->shown;
+  const Layer<PaintedMapPtr>* const layer = oneIn(*shown.request, picture);
+  if (!layer) return {};
+  const SplatCamera& camera = layer->camera;
+  std::vector<double> depths =
+      shown.surface.seenBy(inFirst(*shown.request, *layer), shown.colour.values, least_alpha);
   for (std::size_t i = 0; i < depths.size() && !scene_depth.empty(); ++i) {
     const double ndc =
         (camera.ndc_scale * depths[i] + camera.ndc_offset) / (camera.orthographic ? 1 : depths[i]);
@@ -234,28 +229,27 @@ void SoftwareRenderer::drawNumbers(const CanvasScope& window, const SplatCamera&
   overlay_.draw(window, bytes_);
 }
 
-void SoftwareRenderer::drawSurface(const std::vector<ViewedMap>& maps, Canvas canvas,
-                                   double far_clip) {
+void SoftwareRenderer::drawSurface(const PaintedPicture& picture, Canvas canvas, double far_clip) {
   const CanvasScope window(canvas);
-  const SplatCamera& camera = maps.front().camera;
+  const SplatCamera& camera = picture.camera();
   const auto scene_depth = window.readDepth(camera.width, camera.height);
   std::vector<std::uint32_t> numbers;
-  for (const double depth : depthsShown(maps, scene_depth, kSurfaceAlpha)) {
+  for (const double depth : depthsShown(picture, scene_depth, kSurfaceAlpha)) {
     const double part = std::isnan(depth) ? 0 : std::clamp(depth / far_clip, 0.0, 1.0);
     numbers.push_back(static_cast<std::uint32_t>(16777215.0 * part + 0.5));
   }
   drawNumbers(window, camera, numbers);
 }
 
-void SoftwareRenderer::drawPick(const std::vector<ViewedMap>& maps, Canvas canvas,
+void SoftwareRenderer::drawPick(const PaintedPicture& picture, Canvas canvas,
                                 std::uint32_t number) {
   const CanvasScope window(canvas);
-  const SplatCamera& camera = maps.front().camera;
-  picked_ = requestOf(maps);
+  const SplatCamera& camera = picture.camera();
+  picked_ = requestOf(picture);
   if (canvas == Canvas::kNone) return;
   picked_.scene_depth = window.readDepth(camera.width, camera.height);
   std::vector<std::uint32_t> numbers;
-  for (const double depth : depthsShown(maps, picked_.scene_depth, kLeastPicked)) {
+  for (const double depth : depthsShown(picture, picked_.scene_depth, kLeastPicked)) {
     numbers.push_back(std::isnan(depth) ? 0 : number);
   }
   drawNumbers(window, camera, numbers);

@@ -16,11 +16,8 @@
 #include "rosplat_core/views/render_settings.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
 #include "view_names.hpp"
-#include "viewed_map.hpp"
 
 namespace rosplat {
-
-using ViewedMap = Viewed<PaintedMap>;
 
 // Draws maps without a graphics card: a painter makes the pictures, and OpenGL only lays them over
 // the window. The maps of a view share one picture, sorted together. Knows no Ogre. Render thread
@@ -32,15 +29,15 @@ class SoftwareRenderer {
 
   // Its thread also takes the maps' edits.
   Painter& painter() { return painter_; }
-  // Has a picture made of a map that no window shows. Returns whether the picture of the map, as it
-  // was when the picture was asked for, is finished or has failed.
-  bool ready(const ViewedMap& map);
+  // Has a picture made that no window shows, unless it is being made or ready().
+  void request(const PaintedPicture& picture);
+  // Whether the picture, of its maps as they were at request(), is finished or has failed.
+  bool ready(const PaintedPicture& picture) const;
   // Shows a view as SplatRenderer::draw() does. An interactive view shows the newest finished
   // picture, warped to this camera. Returns the picture that is shown, null if there is none yet.
   // It may lack some of these maps, and hold others. Throws PictureError.
-  PaintingPtr draw(const std::vector<ViewedMap>& maps, Canvas canvas,
-                   const Surroundings& around = {});
-  // Whether draw() showed exactly its camera and the maps, as they were then or when ready() asked.
+  PaintingPtr draw(const PaintedPicture& picture, Canvas canvas, const Surroundings& around = {});
+  // Whether draw() showed exactly its camera and the maps, as they were then or at request().
   bool exact() const { return exact_; }
   // When the view of the last draw() was exact for the last time. [s]
   double exactUntil() const { return drawn_ ? drawn_->exact_until : 0; }
@@ -49,9 +46,9 @@ class SoftwareRenderer {
   void drawBefore() const;
 
   // See SplatRenderer. Uses the surface of the picture that the view shows.
-  void drawSurface(const std::vector<ViewedMap>& maps, Canvas canvas, double far_clip);
+  void drawSurface(const PaintedPicture& picture, Canvas canvas, double far_clip);
   // See SplatRenderer. Marks where the shown picture has splats; the painter finds which ones.
-  void drawPick(const std::vector<ViewedMap>& maps, Canvas canvas, std::uint32_t number);
+  void drawPick(const PaintedPicture& picture, Canvas canvas, std::uint32_t number);
   // Once after drawPick(): the picked splats of each of its maps.
   std::vector<Pick> pick() { return painter_.pick(std::exchange(picked_, {})); }
 
@@ -67,20 +64,20 @@ class SoftwareRenderer {
   // A view that one or more displays show together.
   struct ShownView {
     PaintRequestPtr asked;
-    std::vector<MapState> asked_of;
     MotionTracker motion;  // of the camera
     PaintingPtr shown;
     double exact_until = 0;  // see exactUntil()
     OverlayTexture colour, behind, hiding;
   };
 
-  PaintRequest requestOf(const std::vector<ViewedMap>& maps) const;
-  // Joins the views of maps to one view, and returns its name.
-  const std::string& join(const std::vector<ViewedMap>& maps);
-  // Whether the view's last request equals this one, for the same states of these maps.
-  static bool asked(const ShownView& view, const PaintRequest& request,
-                    const std::vector<ViewedMap>& maps);
-  void ask(const std::string& name, PaintRequestPtr request, const std::vector<ViewedMap>& maps);
+  PaintRequest requestOf(const PaintedPicture& picture) const;
+  // Joins the views of the layers to one view, and returns its name.
+  const std::string& join(const PaintedPicture& picture);
+  // The view that shows a picture's first layer; null if none does.
+  const ShownView* viewOf(const PaintedPicture& picture) const;
+  // Whether the view's last request equals this one, for the same states of its maps.
+  static bool asked(const ShownView& view, const PaintRequest& request);
+  void ask(const std::string& name, PaintRequestPtr request);
   // Whether a painting is what was asked for, although the map may have been edited since. No later
   // painting would show the present state of a map that is edited all the time.
   static bool overtaken(const ShownView& view, const Painting& painting,
@@ -88,7 +85,7 @@ class SoftwareRenderer {
   void show(ShownView& view, const PaintingPtr& painting);
   // Depths of the shown picture's splats, by pixel of the maps' camera [m]; NaN where they are less
   // opaque than least_alpha or behind the opaque scene. Empty if the view shows none of the maps.
-  std::vector<double> depthsShown(const std::vector<ViewedMap>& maps,
+  std::vector<double> depthsShown(const PaintedPicture& picture,
                                   const std::vector<float>& scene_depth, float least_alpha) const;
   // Writes a number of 24 bits to each pixel, top row first. A 0 writes nothing.
   void drawNumbers(const CanvasScope& window, const SplatCamera& camera,

@@ -31,10 +31,11 @@ constexpr std::uint32_t kMostTickets = (1u << 24) - 1;  // a pixel of rviz's sel
 
 std::uint64_t made = 0;  // clouds so far
 
-// Has Ogre sort the layers among the translucent objects, farthest first. Nothing is drawn with it.
-Ogre::MaterialPtr layerMaterial() {
+// Has Ogre sort the entries among the translucent objects, farthest first. Nothing is drawn with
+// it.
+Ogre::MaterialPtr entryMaterial() {
   auto& materials = Ogre::MaterialManager::getSingleton();
-  const std::string name = "rosplat/Layer";
+  const std::string name = "rosplat/QueueEntry";
   if (auto material =
           materials.getByName(name, Ogre::ResourceGroupManager::DEFAULT_RESOURCE_GROUP_NAME))
     return material;
@@ -186,7 +187,7 @@ SplatCloud::SplatCloud(const std::string& name, const std::string& resource_grou
                 ->getAsString();
           }))),
       on_view_(std::move(on_view)),
-      material_(layerMaterial()) {
+      material_(entryMaterial()) {
   setRenderQueueGroup(kRenderQueue);
   setCastShadows(false);
   callUndertaker();
@@ -227,31 +228,31 @@ void SplatCloud::_updateRenderQueue(Ogre::RenderQueue* queue) {
   drawn_ = false;
   begun_.clear();
   divided_.clear();
-  auto& [behind, hide, before] = layers_;
+  auto& [behind, hide, before] = entries_;
   queue->addRenderable(&behind, Ogre::RENDER_QUEUE_MAIN, mRenderQueuePriority);
   queue->addRenderable(&hide, Ogre::RENDER_QUEUE_MAIN, mRenderQueuePriority);
   queue->addRenderable(&before, mRenderQueueID, mRenderQueuePriority);
 }
 
 void SplatCloud::visitRenderables(Ogre::Renderable::Visitor* visitor, bool) {
-  for (Layer& layer : layers_) visitor->visit(&layer, 0, false);
+  for (QueueEntry& entry : entries_) visitor->visit(&entry, 0, false);
 }
 
-void SplatCloud::Layer::getRenderOperation(Ogre::RenderOperation& operation) {
+void SplatCloud::QueueEntry::getRenderOperation(Ogre::RenderOperation& operation) {
   operation.vertexData = nullptr;  // preRender() draws
 }
 
-void SplatCloud::Layer::getWorldTransforms(Ogre::Matrix4* transform) const {
+void SplatCloud::QueueEntry::getWorldTransforms(Ogre::Matrix4* transform) const {
   *transform = cloud_._getParentNodeFullTransform();
 }
 
-// Farther than all translucent objects, so that Ogre comes to the layer first.
-Ogre::Real SplatCloud::Layer::getSquaredViewDepth(const Ogre::Camera*) const {
+// Farther than all translucent objects, so that Ogre comes to the entry first.
+Ogre::Real SplatCloud::QueueEntry::getSquaredViewDepth(const Ogre::Camera*) const {
   const Ogre::Real farthest = std::numeric_limits<Ogre::Real>::max();
   return turn_ == Turn::kBehind ? farthest : farthest / 2;
 }
 
-bool SplatCloud::Layer::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
+bool SplatCloud::QueueEntry::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
   cloud_.draw(turn_, *manager);
   return false;
 }
@@ -293,13 +294,13 @@ std::vector<SplatCloud*> SplatCloud::cloudsIn(Ogre::SceneManager& manager) {
     auto* const group = priorities.getNext();
     group->getTransparents().acceptVisitor(&lister,
                                            Ogre::QueuedRenderableCollection::OM_SORT_DESCENDING);
-    // In the schemes of rviz's mouse tools the layers are solids.
+    // In the schemes of rviz's mouse tools the entries are solids.
     group->getSolidsBasic().acceptVisitor(&lister, Ogre::QueuedRenderableCollection::OM_PASS_GROUP);
   }
   std::vector<SplatCloud*> clouds;
   for (const Ogre::RenderablePass& object : lister.found) {
-    if (const auto* layer = dynamic_cast<Layer*>(object.renderable)) {
-      clouds.push_back(&layer->cloud());
+    if (const auto* entry = dynamic_cast<QueueEntry*>(object.renderable)) {
+      clouds.push_back(&entry->cloud());
     }
   }
   std::sort(clouds.begin(), clouds.end(),
@@ -328,11 +329,8 @@ void SplatCloud::begin(Ogre::SceneManager& manager) {
   const std::vector<SplatCloud*> clouds = cloudsIn(manager);
   if (clouds.empty() || !showsScene(*viewport)) return;
   clearStencilToo(*viewport);
-  std::vector<Group> groups = groupsOf(clouds, &SplatCloud::seen, viewport);
-  forEach(groups, [&](Group& group) {
-    group.picture =
-        SplatScene::begin(group.maps, canvasOf(*viewport), group.clouds.front()->sort_now_);
-  });
+  std::vector<Group> groups = group(clouds, &SplatCloud::enterView, viewport);
+  forEach(groups, [&](Group& group) { group.picture.begin(canvasOf(*viewport)); });
   clouds.front()->begun_ = std::move(groups);
 }
 
@@ -345,8 +343,9 @@ void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
   if (scheme == "Depth" || picked) drawTouched(manager, canvasOf(viewport));
 }
 
-std::optional<SplatScene::InView> SplatCloud::seen(Ogre::Viewport* viewport) {
+std::optional<Layer<Drawer*>> SplatCloud::enterView(Ogre::Viewport* viewport) {
   if (pauses()) return {};
+  if (before_view_) before_view_();
   const SplatCamera camera = cameraIn(*viewport);
   const std::string view = on_view_(viewport, camera);
   if (view.empty()) {
@@ -359,32 +358,34 @@ std::optional<SplatScene::InView> SplatCloud::seen(Ogre::Viewport* viewport) {
     of = scene_->knows(of->first) ? std::next(of) : seen_.erase(of);
   }
   seen_[view] = camera;
-  return SplatScene::InView{scene_.get(), view, settings_};
+  scene_->upload(settings_, sort_now_);
+  return scene_->layer(view, settings_, sort_now_);
 }
 
-std::optional<SplatScene::InView> SplatCloud::touched(Ogre::Viewport* viewport) {
+std::optional<Layer<Drawer*>> SplatCloud::enterMouseTool(Ogre::Viewport* viewport) {
   if (seen_.empty() || pauses()) return {};  // what isn't seen can't be touched
   SplatCamera camera = cameraIn(*viewport);
   auto view = seen_.begin();
   while (view != seen_.end() && !makePart(camera, view->second)) ++view;
   if (view == seen_.end()) view = seen_.begin();  // the camera has moved since
-  return SplatScene::InView{scene_.get(), view->first, settings_, camera};
+  scene_->prepare(settings_);
+  return scene_->layerUnderMouse(view->first, settings_, camera);
 }
 
-std::vector<SplatCloud::Group> SplatCloud::groupsOf(const std::vector<SplatCloud*>& clouds,
-                                                    Find find, Ogre::Viewport* viewport) {
+std::vector<SplatCloud::Group> SplatCloud::group(const std::vector<SplatCloud*>& clouds,
+                                                 Enter enter, Ogre::Viewport* viewport) {
   std::vector<Group> groups;
   for (SplatCloud* cloud : clouds) {
     try {
-      const std::optional<SplatScene::InView> found = (cloud->*find)(viewport);
-      if (!found) continue;
-      found->scene->prepare(found->settings);
-      auto group = std::find_if(groups.begin(), groups.end(), [&found](const Group& other) {
-        return SplatScene::together(*other.maps.front().scene, *found->scene);
+      const std::optional<Layer<Drawer*>> layer = (cloud->*enter)(viewport);
+      if (!layer) continue;
+      SplatScene& scene = *cloud->scene_;
+      auto group = std::find_if(groups.begin(), groups.end(), [&scene](const Group& other) {
+        return other.picture.takes(scene);
       });
       if (group == groups.end()) group = groups.insert(group, Group{});
       group->clouds.push_back(cloud);
-      group->maps.push_back(*found);
+      group->picture.add(scene, *layer);
     } catch (const std::exception& error) {
       cloud->fail(error);
     }
@@ -432,8 +433,8 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager) {
   const std::vector<SplatCloud*> clouds = cloudsIn(manager);
   for (SplatCloud* cloud : clouds) cloud->drawn_ = true;
   forEach(clouds.front()->begun_, [&](Group& group) {
-    SplatScene::draw(group.picture, around);
-    if (around.translucent) group.clouds.front()->divided_ = group.maps.front().view_id;
+    group.picture.draw(around);
+    if (around.translucent) group.clouds.front()->divided_ = group.picture.viewId();
     for (SplatCloud* cloud : group.clouds) cloud->error_.clear();
   });
 }
@@ -444,12 +445,13 @@ void SplatCloud::drawTouched(Ogre::SceneManager& manager, Canvas canvas) {
   if (scheme == "Pick") ticket = ticket % kMostTickets + 1;
   const std::vector<SplatCloud*> clouds = cloudsIn(manager);
   for (SplatCloud* cloud : clouds) cloud->drawn_ = true;
-  std::vector<Group> groups = groupsOf(clouds, &SplatCloud::touched, manager.getCurrentViewport());
+  std::vector<Group> groups =
+      group(clouds, &SplatCloud::enterMouseTool, manager.getCurrentViewport());
   forEach(groups, [&](const Group& group) {
     if (scheme == "Depth") {
-      return SplatScene::drawSurface(group.maps, canvas, camera_->getFarClipDistance());
+      return group.picture.drawSurface(canvas, camera_->getFarClipDistance());
     }
-    SplatScene::drawPick(group.maps, canvas, scheme == "Pick" ? pick_handle_ : ticket);
+    group.picture.drawPick(canvas, scheme == "Pick" ? pick_handle_ : ticket);
     group.clouds.front()->picked_with_ = group.clouds;
   });
 }

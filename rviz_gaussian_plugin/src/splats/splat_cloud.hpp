@@ -24,13 +24,16 @@ namespace rosplat {
 // if one renderer draws them.
 class SplatCloud : public Ogre::MovableObject {
  public:
-  // Returns the name of the view that a viewport shows and registers its camera with the scene.
-  // Called in the render thread before each draw. `camera` is the viewport's camera in the map's
-  // frame. If the name is empty, the map is kept up to date but not drawn.
+  // Registers with the scene that a viewport is about to show the map from a camera, which is in
+  // the map's frame, and returns the view's name. If the name is empty, the map is kept up to date
+  // but not drawn.
   using ViewCallback = std::function<std::string(Ogre::Viewport*, const SplatCamera& camera)>;
 
   // Shaders are read from the Ogre resource group that holds ogre_media.
   SplatCloud(const std::string& name, const std::string& resource_group, ViewCallback on_view);
+
+  // Called in the render thread before each view, with OpenGL's context current.
+  void setBeforeView(std::function<void()> act) { before_view_ = std::move(act); }
 
   SplatScene& scene() { return *scene_; }
   const RenderSettings& settings() const { return settings_; }
@@ -73,9 +76,9 @@ class SplatCloud : public Ogre::MovableObject {
     kBefore,  // after both, before overlays
   };
   // An entry in Ogre's queues: draws the map in its turn.
-  class Layer : public Ogre::Renderable {
+  class QueueEntry : public Ogre::Renderable {
    public:
-    Layer(SplatCloud& cloud, Turn turn) : cloud_(cloud), turn_(turn) {}
+    QueueEntry(SplatCloud& cloud, Turn turn) : cloud_(cloud), turn_(turn) {}
     const Ogre::MaterialPtr& getMaterial() const override { return cloud_.material_; }
     void getRenderOperation(Ogre::RenderOperation& operation) override;
     void getWorldTransforms(Ogre::Matrix4* transform) const override;
@@ -90,11 +93,10 @@ class SplatCloud : public Ogre::MovableObject {
     Turn turn_;
   };
 
-  // Clouds that are drawn together, and their maps.
+  // Clouds that are drawn together.
   struct Group {
     std::vector<SplatCloud*> clouds;
-    std::vector<SplatScene::InView> maps;
-    SplatScene::Picture picture = {};
+    SplatScene::Picture picture;
   };
   // Has all clouds in view begin() before Ogre draws anything.
   struct Starter;
@@ -107,28 +109,31 @@ class SplatCloud : public Ogre::MovableObject {
   void drawSeen(Turn turn, Ogre::SceneManager& manager);
   // For rviz's mouse tools.
   void drawTouched(Ogre::SceneManager& manager, Canvas canvas);
-  // Returns the clouds that are in view, in groups. `find` tells how a cloud is in view.
-  using Find = std::optional<SplatScene::InView> (SplatCloud::*)(Ogre::Viewport*);
-  static std::vector<Group> groupsOf(const std::vector<SplatCloud*>& clouds, Find find,
-                                     Ogre::Viewport* viewport);
+  // Prepares clouds for a viewport by `enter`, and returns in groups those that it shows.
+  using Enter = std::optional<Layer<Drawer*>> (SplatCloud::*)(Ogre::Viewport*);
+  static std::vector<Group> group(const std::vector<SplatCloud*>& clouds, Enter enter,
+                                  Ogre::Viewport* viewport);
   // Does something for each group. What it throws becomes the error of its clouds, and ends the
   // group.
   static void forEach(std::vector<Group>& groups, const std::function<void(Group&)>& act);
-  // The map as a viewport sees it; none if it is not to be drawn, as for a while after an error.
-  std::optional<SplatScene::InView> seen(Ogre::Viewport* viewport);
+  // Brings the map up to date for a viewport. Returns what the viewport shows of it; none if it is
+  // not to be drawn, as for a while after an error.
+  std::optional<Layer<Drawer*>> enterView(Ogre::Viewport* viewport);
   // The same for a viewport of rviz's mouse tools; none if no view has shown the map.
-  std::optional<SplatScene::InView> touched(Ogre::Viewport* viewport);
+  std::optional<Layer<Drawer*>> enterMouseTool(Ogre::Viewport* viewport);
   SplatCamera cameraIn(const Ogre::Viewport& viewport) const;
   bool pauses() const;
   void fail(const std::exception& error);
   std::vector<Ogre::RenderablePass> translucent(Ogre::SceneManager& manager) const;
   static bool anyOpaque(Ogre::SceneManager& manager);  // drawn before the splats in this view
 
-  std::array<Layer, 3> layers_{Layer(*this, Turn::kBehind), Layer(*this, Turn::kHide),
-                               Layer(*this, Turn::kBefore)};
+  std::array<QueueEntry, 3> entries_{QueueEntry(*this, Turn::kBehind),
+                                     QueueEntry(*this, Turn::kHide),
+                                     QueueEntry(*this, Turn::kBefore)};
   const std::uint64_t number_;  // counts the clouds that were ever made
   std::unique_ptr<SplatScene> scene_;
   ViewCallback on_view_;
+  std::function<void()> before_view_;
   std::map<std::string, SplatCamera> seen_;  // last cameras by view; mouse tools draw parts
   RenderSettings settings_;
   Placement place_;

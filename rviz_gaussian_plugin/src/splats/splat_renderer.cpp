@@ -5,7 +5,7 @@
 // 3. ViewState::list: lists by tiles (tile_rasterizer.hpp). Kept, as step 2, where camera, map,
 //    settings and order are those of the view's last frame. draw():
 // 4. copyDepth of the opaque scene; divide at the translucent objects. 5. ViewState::blend.
-// 6. hasRoom, missesBudget: only the card knows how many splats show, so the steps work in the
+// 6. checkRoom, keepBudgets: only the card knows how many splats show, so the steps work in the
 //    room that earlier frames needed. Where that was too little, 2 to 5 run again: no picture lacks
 //    any.
 // 7. composite: lays the picture over the window.
@@ -37,18 +37,18 @@ const ShaderSource& checked(const ShaderSource& source) {
   return source;
 }
 
-// Whether a map missed a budget that another error would keep. Sets that error in its layer.
-bool missesBudget(Frame& frame, const std::vector<std::size_t>& drawn,
-                  const std::vector<CardView>& maps) {
-  bool misses = false;
-  for (std::size_t i = 0; i < maps.size(); ++i) {
+// Gives the layers whose maps missed a budget the error that keeps it. Returns whether there are
+// any.
+bool keepBudgets(Frame& frame, const std::vector<std::size_t>& drawn, const CardPicture& picture) {
+  bool any = false;
+  for (std::size_t i = 0; i < frame.layers.size(); ++i) {
     FrameLayer& layer = frame.layers[i];
-    const double error = layer.cuts() ? layer.error : 0;
-    const auto next = maps[i].map->drew(maps[i].view_id, error, drawn[i]);
+    const Layer<std::shared_ptr<CardMap>>& of = picture.layers[i];
+    const auto next = of.map->drew(of.view_id, layer.cuts() ? layer.error : 0, drawn[i]);
     layer.error = next.value_or(layer.error);
-    misses = misses || next;
+    any = any || next;
   }
-  return misses;
+  return any;
 }
 
 }  // namespace
@@ -130,13 +130,12 @@ void SplatRenderer::drop(const std::string& name) {
   views_.erase(found);
 }
 
-Frame SplatRenderer::frame(const std::vector<CardView>& maps, Canvas canvas,
+Frame SplatRenderer::frame(const CardPicture& picture, Canvas canvas,
                            gl::Stopwatch& stopwatch) const {
-  Frame frame{{}, maps.front().order, canvas != Canvas::kWindow, clock(), stopwatch};
-  for (const CardView& map : maps) {
-    map.map->await();
-    frame.layers.push_back(
-        {map.map->store(), map.map->nodes(), map.camera, map.state, map.settings});
+  Frame frame{{}, picture.order(), canvas != Canvas::kWindow, clock(), stopwatch};
+  for (const auto& [map, view_id, camera, settings, order, state] : picture.layers) {
+    map->await();
+    frame.layers.push_back({map->store(), map->nodes(), camera, state, settings});
   }
   return frame;
 }
@@ -196,30 +195,29 @@ void SplatRenderer::composite(const CanvasScope& window, const gl::Target& splat
   window.layOver(composite_, splats);
 }
 
-SplatRenderer::Begun::Begun(const SplatRenderer& renderer, const std::vector<CardView>& of,
-                            Canvas on)
-    : maps(of),
+SplatRenderer::Begun::Begun(const SplatRenderer& renderer, const CardPicture& of, Canvas on)
+    : picture(of),
       canvas(on),
-      stopwatch(of.front().settings.profile),
-      frame(renderer.frame(maps, canvas, stopwatch)) {}
+      stopwatch(of.settings().profile),
+      frame(renderer.frame(picture, canvas, stopwatch)) {}
 
-void SplatRenderer::begin(const std::vector<CardView>& maps, Canvas canvas) {
+void SplatRenderer::begin(const CardPicture& picture, Canvas canvas) {
   begun_.reset();
   const gl::Turn turn(sort_is_free_);
   const gl::ComputeScope scope;
   gl::deleteAbandoned();
-  const auto& name = names_.join(maps, [this](const std::string& unused) { drop(unused); });
+  const auto& name = names_.join(picture, [this](const std::string& unused) { drop(unused); });
   ViewState& view = *this->view(name).state;
   std::vector<CardMap::Chosen> chosen;
-  for (const CardView& map : maps) {
-    chosen.push_back(map.map->chooseDetail(map.view_id, map.settings, map.camera,
-                                           map.order != nullptr, clock()));
+  const bool ordered = picture.order() != nullptr;
+  for (const auto& [map, view_id, camera, settings, order, state] : picture.layers) {
+    chosen.push_back(map->chooseDetail(view_id, settings, camera, ordered, clock()));
   }
-  auto begun = std::make_unique<Begun>(*this, maps, canvas);
+  auto begun = std::make_unique<Begun>(*this, picture, canvas);
   begun->chosen = std::move(chosen);
   begun->view = &view;
   Frame& frame = begun->frame;
-  for (std::size_t i = 0; i < maps.size(); ++i) {
+  for (std::size_t i = 0; i < frame.layers.size(); ++i) {
     frame.layers[i].error = begun->chosen[i].error;
   }
   view.prepare(frame);
@@ -232,12 +230,11 @@ void SplatRenderer::begin(const std::vector<CardView>& maps, Canvas canvas) {
 std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const Surroundings& around) {
   const std::unique_ptr<Begun> begun = std::move(begun_);
   const std::function<void()>& translucent = around.translucent;
-  auto& [maps, chosen, canvas, of_view, stopwatch, frame] = *begun;
+  auto& [picture, chosen, canvas, of_view, stopwatch, frame] = *begun;
   const gl::Turn turn(sort_is_free_, true);  // after that of begin()
   ViewState& view = *of_view;
   stopwatch.lap("");  // of the scene
   drawn_ = &view;
-  const RenderSettings& settings = maps.front().settings;
   const SplatCamera& camera = frame.camera();
   if (translucent) {
     keepTranslucent(view, camera, translucent);
@@ -245,7 +242,7 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const Surroundings& around
   }
   const CanvasScope window(canvas);
   view.use();
-  const bool fresh = view.color.become(settings.float_blending ? GL_RGBA32F : GL_RGBA16F,
+  const bool fresh = view.color.become(picture.settings().float_blending ? GL_RGBA32F : GL_RGBA16F,
                                        camera.width, camera.height, window.targetDepth());
   const bool open = !around.opaque && !translucent;
   if (fresh || !view.open || !open) {  // making a framebuffer takes the driver 20 us
@@ -264,8 +261,10 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const Surroundings& around
   view.blend(stopwatch, bool(translucent));
   glFlush();
   // All is submitted: the graphics card works on while the loop waits for its first counts.
-  for (const CardView& map : maps) map.map->expectDetail(map.view_id, map.settings, map.camera);
-  while (!view.hasRoom(frame) || missesBudget(frame, view.splats().countsOfLayers(), maps)) {
+  for (const auto& [map, view_id, camera_in_map, settings, order, state] : picture.layers) {
+    map->expectDetail(view_id, settings, camera_in_map);
+  }
+  while (!view.checkRoom(frame) || keepBudgets(frame, view.splats().countsOfLayers(), picture)) {
     view.prepare(frame);
     view.blend(stopwatch, bool(translucent));
   }
@@ -274,10 +273,10 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const Surroundings& around
     stopwatch.lap("composite");
   }
   std::vector<OfMap> drawn;
-  for (std::size_t i = 0; i < maps.size(); ++i) {
+  for (std::size_t i = 0; i < frame.layers.size(); ++i) {
     const double error = frame.layers[i].cuts() ? frame.layers[i].error : 0;
     std::string& problem = chosen[i].problem;
-    if (problem.empty()) problem = maps[i].map->detailProblem(maps[i].view_id);
+    if (problem.empty()) problem = picture.layers[i].map->detailProblem(picture.layers[i].view_id);
     drawn.push_back({view.splats().countsOfLayers()[i], error, std::move(problem)});
   }
   leaves_out_ = view.tiles().leavesOut();
@@ -304,12 +303,12 @@ void SplatRenderer::drawBefore(const std::string& view_id) const {
   composite(window, view->color);
 }
 
-void SplatRenderer::drawSurface(const std::vector<CardView>& maps, Canvas canvas, double far_clip) {
+void SplatRenderer::drawSurface(const CardPicture& picture, Canvas canvas, double far_clip) {
   const gl::Turn turn(sort_is_free_);
   gl::Stopwatch stopwatch(false);
   const CanvasScope window(canvas);
   ViewState& view = *this->view(kMouseView).state;
-  const Frame frame = this->frame(maps, canvas, stopwatch);
+  const Frame frame = this->frame(picture, canvas, stopwatch);
   const SplatCamera& camera = frame.camera();
   surface_depth_.become(GL_RGBA32F, camera.width, camera.height, window.targetDepth());
   const gl::DrawScope scope(surface_depth_);
@@ -317,7 +316,7 @@ void SplatRenderer::drawSurface(const std::vector<CardView>& maps, Canvas canvas
   do {
     view.prepare(frame);
     view.blendDepth(surface_depth_);
-  } while (!view.hasRoom(frame));
+  } while (!view.checkRoom(frame));
   glDisable(GL_BLEND);
   glDisable(GL_DEPTH_TEST);
   surface_.use();
@@ -325,13 +324,12 @@ void SplatRenderer::drawSurface(const std::vector<CardView>& maps, Canvas canvas
   window.layOver(surface_, surface_depth_);
 }
 
-void SplatRenderer::drawPick(const std::vector<CardView>& maps, Canvas canvas,
-                             std::uint32_t number) {
+void SplatRenderer::drawPick(const CardPicture& picture, Canvas canvas, std::uint32_t number) {
   const gl::Turn turn(sort_is_free_);
   gl::Stopwatch stopwatch(false);
   const CanvasScope window(canvas);
   ViewState& view = *this->view(kMouseView).state;
-  const Frame frame = this->frame(maps, canvas, stopwatch);
+  const Frame frame = this->frame(picture, canvas, stopwatch);
   const SplatCamera& camera = frame.camera();
   pick_depth_.become(GL_RGBA16F, camera.width, camera.height, window.targetDepth());
   const gl::DrawScope scope(pick_depth_);
@@ -340,8 +338,8 @@ void SplatRenderer::drawPick(const std::vector<CardView>& maps, Canvas canvas,
     view.prepare(frame);
     picker_.begin(view.splats(), pick_depth_, view.topFirst());
     view.inRegions(stopwatch, [&] { picker_.pick(view.splats(), view.tiles(), pick_depth_); });
-  } while (!view.hasRoom(frame));
-  picked_layers_ = maps.size();
+  } while (!view.checkRoom(frame));
+  picked_layers_ = picture.layers.size();
   if (canvas != Canvas::kNone) picker_.draw(window, pick_depth_, number);
 }
 

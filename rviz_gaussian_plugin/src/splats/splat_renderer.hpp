@@ -23,20 +23,17 @@
 #include "gpu/splat_picker.hpp"
 #include "gpu/view_state.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
+#include "rosplat_core/order/picture.hpp"
 #include "rosplat_core/views/pick.hpp"
-#include "rosplat_core/views/render_settings.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
 #include "view_names.hpp"
-#include "viewed_map.hpp"
 
 namespace rosplat {
 
-using CardView = Viewed<CardMap>;
+using CardPicture = Picture<std::shared_ptr<CardMap>>;
 
 // Draws maps with OpenGL 4.4. Visible splats are projected once a frame, then blended tile by tile,
-// in a given order or in one found here. The maps of a view share one picture, sorted together; the
-// settings of the first map decide the picture's precision and the profile. Knows no Ogre. Render
-// thread only.
+// in a given order or in one found here. Knows no Ogre. Render thread only.
 class SplatRenderer {
  public:
   // Throws gl::Error if the driver lacks what this needs, or sorts wrongly.
@@ -51,7 +48,7 @@ class SplatRenderer {
   // card works while these are drawn. Without a given order, splats are sorted by the sorters'
   // depth, with the same ties. The view's state is kept until forget(), or until others need the
   // memory.
-  void begin(const std::vector<CardView>& maps, Canvas canvas);
+  void begin(const CardPicture& picture, Canvas canvas);
   // What draw() drew of each map.
   struct OfMap {
     std::size_t drawn = 0;     // splats, and nodes that stand for splats
@@ -72,12 +69,12 @@ class SplatRenderer {
 
   // Writes the depth of the splats' surface, for rviz's mouse tools, into the current framebuffer
   // and viewport: mean depth / far_clip as 24-bit colour, lowest byte in blue.
-  void drawSurface(const std::vector<CardView>& maps, Canvas canvas, double far_clip);
+  void drawSurface(const CardPicture& picture, Canvas canvas, double far_clip);
 
   // Finds the splat that contributes most to each pixel, if that is at least a twentieth of its
   // colour, among splats that the current framebuffer and viewport don't hide. Writes a number to
   // these pixels as 24-bit colour, for rviz's selection.
-  void drawPick(const std::vector<CardView>& maps, Canvas canvas, std::uint32_t number);
+  void drawPick(const CardPicture& picture, Canvas canvas, std::uint32_t number);
   // The slots that drawPick() found, by map: width * height, top row first, kNoSlot for none.
   std::vector<Pick> readPick() const;
 
@@ -107,14 +104,14 @@ class SplatRenderer {
   };
   // A picture that was begun, and isn't drawn yet.
   struct Begun {
-    Begun(const SplatRenderer& renderer, const std::vector<CardView>& of, Canvas on);
+    Begun(const SplatRenderer& renderer, const CardPicture& of, Canvas on);
 
-    std::vector<CardView> maps;
+    CardPicture picture;
     std::vector<CardMap::Chosen> chosen;  // detail of each map
     Canvas canvas;
     ViewState* view = nullptr;
     gl::Stopwatch stopwatch;
-    Frame frame;  // of `maps`
+    Frame frame;  // of `picture`
   };
 
   // The state of a view. If all states take too much memory, a new view takes over the oldest one.
@@ -122,7 +119,7 @@ class SplatRenderer {
   // The state of a display's view, null if none is kept.
   const ViewState* stateOf(const std::string& view_id) const;
   void drop(const std::string& name);
-  Frame frame(const std::vector<CardView>& maps, Canvas canvas, gl::Stopwatch& stopwatch) const;
+  Frame frame(const CardPicture& picture, Canvas canvas, gl::Stopwatch& stopwatch) const;
   // Copies the window's depth into the target that is bound, or clears that if the driver can't.
   void copyDepth(const CanvasScope& window, const gl::Target& target);
   static void keepTranslucent(ViewState& view, const SplatCamera& camera,

@@ -107,9 +107,9 @@ void SplatScene::update(bool all) {
   for (const auto& [view_id, order] : orders) book_.offer(order);
 }
 
-void SplatScene::upload(const RenderSettings& settings) {
+void SplatScene::upload(const RenderSettings& settings, bool all) {
   prepare(settings);
-  update(false);
+  update(all);
 }
 
 void SplatScene::setCamera(const std::string& view_id, std::uint64_t sequence,
@@ -118,57 +118,84 @@ void SplatScene::setCamera(const std::string& view_id, std::uint64_t sequence,
   book_.setCamera(view_id, sequence, camera, now());
 }
 
-bool SplatScene::answered(const std::string& view_id, const RenderSettings& settings) {
-  prepare(settings);
-  update(true);
+bool SplatScene::answered(const std::string& view_id) const {
   return same(booked_, arrivals_->state()) && book_.answered(view_id);
 }
 
-Drawer::Look SplatScene::look(const InView& map, bool sort_now, bool alone) {
-  update(sort_now);
-  Drawer::Look look{drawer_.get(), map.view_id, cameras_.at(map.view_id), map.settings, {}};
-  const bool from_sidecar = alone && !sort_now && map.settings.order == OrderSource::kSidecar;
-  if (from_sidecar) look.order = book_.newest(map.view_id, now());
-  return look;
+Layer<Drawer*> SplatScene::layer(const std::string& view_id, const RenderSettings& settings,
+                                 bool sort_now) const {
+  const bool from_sidecar = !sort_now && settings.order == OrderSource::kSidecar;
+  return {drawer_.get(),
+          view_id,
+          cameras_.at(view_id),
+          settings,
+          from_sidecar ? book_.newest(view_id, now()) : OrderBook::Choice{},
+          {}};
 }
 
-bool SplatScene::ready(const std::string& view_id, const RenderSettings& settings, bool sort_now) {
-  prepare(settings);
-  if (drawer_->by() == DrawnBy::kCard) return true;  // draw() finds the order
-  return drawer_->ready(look({this, view_id, settings}, sort_now, true));
+Layer<Drawer*> SplatScene::layerUnderMouse(const std::string& view_id, RenderSettings settings,
+                                           const SplatCamera& camera) const {
+  settings = inFull(settings);
+  settings.order = OrderSource::kAuto;
+  return {drawer_.get(), view_id, camera, settings, {}, {}};
+}
+
+void SplatScene::request(const std::string& view_id, const RenderSettings& settings,
+                         bool sort_now) {
+  upload(settings, sort_now);
+  drawer_->request({{layer(view_id, settings, sort_now)}});
+}
+
+bool SplatScene::ready(const std::string& view_id, const RenderSettings& settings,
+                       bool sort_now) const {
+  return drawer_->ready({{layer(view_id, settings, sort_now)}});
 }
 
 const FrameReport& SplatScene::draw(const std::string& view_id, const RenderSettings& settings,
                                     Canvas canvas, bool sort_now, const Surroundings& around) {
-  prepare(settings);
-  draw(begin({{this, view_id, settings}}, canvas, sort_now), around);
+  upload(settings, sort_now);
+  Picture picture;
+  picture.add(*this, layer(view_id, settings, sort_now));
+  picture.begin(canvas);
+  picture.draw(around);
   return reports_[view_id];
 }
 
-SplatScene::Picture SplatScene::begin(const std::vector<InView>& maps, Canvas canvas,
-                                      bool sort_now) {
-  const double start = now();
-  Picture picture{maps, canvas};
-  for (const InView& map : maps) {
-    picture.looks.push_back(map.scene->look(map, sort_now, maps.size() == 1));
-  }
-  picture.looks.front().drawer->begin(picture.looks, canvas);
-  picture.took = now() - start;
-  return picture;
+bool SplatScene::Picture::takes(const SplatScene& scene) const {
+  return maps_.layers.empty() || maps_.map()->drawsWith(*scene.drawer_);
 }
 
-void SplatScene::draw(const Picture& picture, const Surroundings& around) {
+void SplatScene::Picture::add(SplatScene& scene, Layer<Drawer*> layer) {
+  scenes_.push_back(&scene);
+  maps_.layers.push_back(std::move(layer));
+}
+
+void SplatScene::Picture::begin(Canvas canvas) {
   const double start = now();
-  const auto& [maps, canvas, looks, begun_in] = picture;
-  std::vector<FrameReport> reports = looks.front().drawer->draw(looks, canvas, around);
-  const double took = begun_in + now() - start;
-  for (std::size_t i = 0; i < maps.size(); ++i) {
-    const auto& [scene, view_id, settings, camera] = maps[i];
-    reports[i].maps = maps.size();
+  canvas_ = canvas;
+  maps_.map()->begin(maps_, canvas);
+  took_ = now() - start;
+}
+
+void SplatScene::Picture::draw(const Surroundings& around) const {
+  const double start = now();
+  std::vector<FrameReport> reports = maps_.map()->draw(maps_, canvas_, around);
+  const double took = took_ + now() - start;
+  for (std::size_t i = 0; i < scenes_.size(); ++i) {
+    const std::string& view_id = maps_.layers[i].view_id;
+    reports[i].maps = scenes_.size();
     reports[i].draw_time = took;
-    scene->keepPace(view_id, reports[i]);
-    scene->reports_[view_id] = std::move(reports[i]);
+    scenes_[i]->keepPace(view_id, reports[i]);
+    scenes_[i]->reports_[view_id] = std::move(reports[i]);
   }
+}
+
+void SplatScene::Picture::drawSurface(Canvas canvas, double far_clip) const {
+  maps_.map()->drawSurface(maps_, canvas, far_clip);
+}
+
+void SplatScene::Picture::drawPick(Canvas canvas, std::uint32_t number) const {
+  maps_.map()->drawPick(maps_, canvas, number);
 }
 
 void SplatScene::keepPace(const std::string& view_id, FrameReport& report) {
@@ -195,26 +222,6 @@ void SplatScene::keepPace(const std::string& view_id, FrameReport& report) {
 FrameReport SplatScene::report(const std::string& view_id) const {
   const auto found = reports_.find(view_id);
   return found == reports_.end() ? FrameReport{} : found->second;
-}
-
-// Mouse tools see the map in full detail, sorted here.
-std::vector<Drawer::Look> SplatScene::touched(const std::vector<InView>& maps) {
-  std::vector<Drawer::Look> looks;
-  for (const InView& map : maps) {
-    looks.push_back({map.scene->drawer_.get(), map.view_id, *map.camera, inFull(map.settings), {}});
-    looks.back().settings.order = OrderSource::kAuto;
-  }
-  return looks;
-}
-
-void SplatScene::drawSurface(const std::vector<InView>& maps, Canvas canvas, double far_clip) {
-  const std::vector<Drawer::Look> looks = touched(maps);
-  looks.front().drawer->drawSurface(looks, canvas, far_clip);
-}
-
-void SplatScene::drawPick(const std::vector<InView>& maps, Canvas canvas, std::uint32_t number) {
-  const std::vector<Drawer::Look> looks = touched(maps);
-  looks.front().drawer->drawPick(looks, canvas, number);
 }
 
 std::vector<SplatValues> SplatScene::readSlots(const std::vector<std::uint32_t>& slots) const {

@@ -17,6 +17,7 @@
 #include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/order/order.hpp"
 #include "rosplat_core/order/order_book.hpp"
+#include "rosplat_core/order/picture.hpp"
 #include "rosplat_core/threads/freed_memory.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
 
@@ -55,55 +56,57 @@ class SplatScene {
   // Render thread: makes the Drawer that the settings ask for. If that fails, the present one goes
   // on until the settings name another rasterizer; throws gl::Error if there is none.
   void prepare(const RenderSettings& settings);
-  // Render thread: uploads some of the waiting edits of a map that no view shows. Throws gl::Error.
-  void upload(const RenderSettings& settings);
-  // Render thread: uploads all waiting edits. Returns whether the sidecar has answered the view's
-  // newest camera for the whole map. Throws gl::Error.
-  bool answered(const std::string& view_id, const RenderSettings& settings);
+  // Render thread: uploads waiting edits, all of them or as many as a frame has time for. Throws
+  // gl::Error.
+  void upload(const RenderSettings& settings, bool all = false);
+  // Render thread, after upload(): whether the sidecar has answered the view's newest camera for
+  // the whole map.
+  bool answered(const std::string& view_id) const;
+  // Render thread, after upload(): the map as a view sees it. sort_now: with no sidecar's order.
+  Layer<Drawer*> layer(const std::string& view_id, const RenderSettings& settings,
+                       bool sort_now) const;
+  // Render thread: the same for rviz's mouse tools, in full detail and sorted for the camera.
+  Layer<Drawer*> layerUnderMouse(const std::string& view_id, RenderSettings settings,
+                                 const SplatCamera& camera) const;
 
-  // The map in a view.
-  struct InView {
-    SplatScene* scene;
-    std::string view_id;
-    RenderSettings settings;
-    std::optional<SplatCamera> camera = {};  // in place of the view's own
+  // Maps in one picture, sorted together. Render thread only.
+  class Picture {
+   public:
+    // Whether the map of a prepared scene can be in the picture: one renderer draws all.
+    bool takes(const SplatScene& scene) const;
+    void add(SplatScene& scene, Layer<Drawer*> layer);
+    // The first layer's view.
+    const std::string& viewId() const { return maps_.layers.front().view_id; }
+    // What the other objects around the maps don't change is done by begin(), so that the graphics
+    // card works while these are drawn. draw() follows before the next begin().
+    void begin(Canvas canvas);
+    void draw(const Surroundings& around) const;
+    // For rviz's mouse tools: writes the depth of the surface that a view shows; see SplatRenderer.
+    void drawSurface(Canvas canvas, double far_clip) const;
+    // Writes a number where pick() finds splats; see SplatRenderer.
+    void drawPick(Canvas canvas, std::uint32_t number) const;
+
+   private:
+    std::vector<SplatScene*> scenes_;  // of the layers
+    Drawer::Picture maps_;
+    Canvas canvas_ = Canvas::kNone;
+    double took_ = 0;  // of the render thread, for begin() [s]
   };
-  // Render thread: whether draw() with these settings, which aren't interactive, need not wait for
-  // the processor. If not, begins the picture. Throws gl::Error.
-  bool ready(const std::string& view_id, const RenderSettings& settings, bool sort_now);
-  // Render thread: uploads waiting edits, chooses an order and draws into the current framebuffer.
-  // sort_now: draws all edits, and no sidecar's order. Throws gl::Error.
+  // Render thread: has a picture made that isn't interactive, for draw() with the same settings to
+  // find once it is ready(). Throws gl::Error.
+  void request(const std::string& view_id, const RenderSettings& settings, bool sort_now);
+  // Whether draw() need not wait for the processor.
+  bool ready(const std::string& view_id, const RenderSettings& settings, bool sort_now) const;
+  // Render thread: uploads waiting edits and draws into the current framebuffer. sort_now: draws
+  // all edits, and no sidecar's order. Throws gl::Error.
   const FrameReport& draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
                           bool sort_now = false, const Surroundings& around = {});
-  // A picture that was begun.
-  struct Picture {
-    std::vector<InView> maps;
-    Canvas canvas;
-    std::vector<Drawer::Look> looks = {};
-    double took = 0;  // of the render thread [s]
-  };
-  // Render thread: the same in two steps, for several maps in one picture, sorted together. They
-  // must be together(), and their cameras the same camera. What the scene's other objects don't
-  // change is done by begin(), so that the graphics card works while these are drawn. draw()
-  // follows before the next begin().
-  static Picture begin(const std::vector<InView>& maps, Canvas canvas, bool sort_now);
-  static void draw(const Picture& picture, const Surroundings& around);
-  // Render thread: whether two prepared maps are drawn by one renderer, in one picture.
-  static bool together(const SplatScene& one, const SplatScene& other) {
-    return one.drawer_->drawsWith(*other.drawer_);
-  }
   // Render thread: after a draw() of a view with translucent objects; see SplatRenderer.
   void hideFarther(const std::string& view_id) const { drawer_->hideFarther(view_id); }
   void drawBefore(const std::string& view_id) const { drawer_->drawBefore(view_id); }
   // Render thread: the report of a view's last draw(); without an order source before the first.
   FrameReport report(const std::string& view_id) const;
-  // Render thread, for rviz's mouse tools: writes the depth of the surface that a view shows; see
-  // SplatRenderer. A graphics card draws it anew, in an order sorted for it.
-  static void drawSurface(const std::vector<InView>& maps, Canvas canvas, double far_clip);
-  // Render thread: writes a number where pick() finds splats; see SplatRenderer. A graphics card
-  // sorts for it. The processor uses the picture that the view shows.
-  static void drawPick(const std::vector<InView>& maps, Canvas canvas, std::uint32_t number);
-  // Render thread, after drawPick() of this map and others: the picked splats of each. The
+  // Render thread, after Picture::drawPick() of this map and others: the picked splats of each. The
   // painter's thread finds them where there is no graphics card.
   std::vector<Pick> pick() { return drawer_->pick(); }
   // Render thread: the values of slots as they are drawn, in the map's frame.
@@ -136,8 +139,6 @@ class SplatScene {
 
   void exchange(DrawnBy by);
   void update(bool all);
-  Drawer::Look look(const InView& map, bool sort_now, bool alone);
-  static std::vector<Drawer::Look> touched(const std::vector<InView>& maps);
   void keepPace(const std::string& view_id, FrameReport& report);
 
   struct Trim {

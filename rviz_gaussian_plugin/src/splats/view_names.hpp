@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "viewed_map.hpp"
+#include "rosplat_core/order/picture.hpp"
 
 namespace rosplat {
 
@@ -18,11 +18,11 @@ class ViewNames {
 
   // Gives these views one name, that of the first with a name or else the first id. Returns it.
   const std::string& join(const std::vector<std::string>& view_ids, const Unused& unused);
-  // The same for the views of maps.
+  // The same for the views of a picture's layers.
   template <typename Map>
-  const std::string& join(const std::vector<Viewed<Map>>& maps, const Unused& unused) {
+  const std::string& join(const Picture<Map>& picture, const Unused& unused) {
     std::vector<std::string> view_ids;
-    for (const Viewed<Map>& map : maps) view_ids.push_back(map.view_id);
+    for (const Layer<Map>& layer : picture.layers) view_ids.push_back(layer.view_id);
     return join(view_ids, unused);
   }
   void forget(const std::string& view_id, const Unused& unused);

@@ -180,10 +180,18 @@ inline std::vector<float> picture(SplatScene& scene, Rasterizer rasterizer, Orde
   return scene.readColor();
 }
 
+// What rviz's mouse tools draw of a map.
+inline SplatScene::Picture underMouse(SplatScene& scene, const RenderSettings& settings,
+                                      const SplatCamera& seen_by = camera()) {
+  SplatScene::Picture picture;
+  picture.add(scene, scene.layerUnderMouse("view", settings, seen_by));
+  return picture;
+}
+
 inline std::vector<std::uint32_t> picked(SplatScene& scene, const SplatCamera& seen_by = camera()) {
   RenderSettings settings;
   settings.rasterizer = Rasterizer::kTiles;
-  SplatScene::drawPick({{&scene, "view", settings, seen_by}}, Canvas::kNone, 0);
+  underMouse(scene, settings, seen_by).drawPick(Canvas::kNone, 0);
   return scene.pick().front().slots();
 }
 

@@ -198,10 +198,12 @@ TEST_F(SplatRendererTest, APictureComesOfAMapThatIsEditedAllTheTime) {
   for (int picture = 1; picture <= 3; ++picture) {
     const std::uint64_t asked = ++revision;
     scene.apply(grid(asked, 0, 10, 8));
+    scene.request("service", settings, true);
     for (int frame = 0; !scene.ready("service", settings, true); ++frame) {
       ASSERT_LT(frame, 1000);
       std::this_thread::sleep_for(std::chrono::milliseconds(5));
       scene.apply(grid(++revision, 0, 10, 8));
+      scene.request("service", settings, true);
     }
     scene.draw("service", settings, Canvas::kNone, true);
     EXPECT_GE(scene.report("service").map.revision, asked) << picture;

@@ -55,17 +55,27 @@ struct Union {
 // As displays draw them that call the view each by a name of its own.
 std::vector<float> pictureOf(SplatScene& first, const RenderSettings& of_first, SplatScene& second,
                              const RenderSettings& of_second) {
-  const std::vector<SplatScene::InView> parts{{&first, "first's view", of_first},
-                                              {&second, "second's view", of_second}};
-  for (const SplatScene::InView& part : parts) {
+  SplatScene::Picture picture;
+  const auto add = [&](SplatScene& scene, const char* view, const RenderSettings& settings) {
     SplatCamera mine = camera();
-    mine.extent_scale = extentScale(part.settings);
-    part.scene->setCamera(part.view_id, 1, mine);
-    part.scene->prepare(part.settings);
-  }
-  EXPECT_TRUE(SplatScene::together(first, second));
-  SplatScene::draw(SplatScene::begin(parts, Canvas::kNone, true), {});
+    mine.extent_scale = extentScale(settings);
+    scene.setCamera(view, 1, mine);
+    scene.upload(settings, true);
+    EXPECT_TRUE(picture.takes(scene));
+    picture.add(scene, scene.layer(view, settings, true));
+  };
+  add(first, "first's view", of_first);
+  add(second, "second's view", of_second);
+  picture.begin(Canvas::kNone);
+  picture.draw({});
   return first.readColor();
+}
+
+void beginPicture(SplatScene& scene, const std::string& view, const RenderSettings& settings) {
+  scene.upload(settings, true);
+  SplatScene::Picture picture;
+  picture.add(scene, scene.layer(view, settings, true));
+  picture.begin(Canvas::kNone);
 }
 
 }  // namespace
@@ -99,10 +109,10 @@ TEST_F(SplatRendererTest, PicturesThatWereBegunAndNeverDrawnChangeNoOther) {
   aside.translation[0] += 1;
   for (const std::string view : {"view", "other view"}) {
     scene.setCamera(view, 2, aside);
-    SplatScene::begin({{&scene, view, settings}}, Canvas::kNone, true);
+    beginPicture(scene, view, settings);
     EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kAuto), expected);
   }
-  SplatScene::begin({{&scene, "other view", settings}}, Canvas::kNone, true);
+  beginPicture(scene, "other view", settings);
   scene.forget("other view");
   EXPECT_EQ(picture(scene, Rasterizer::kTiles, OrderSource::kAuto), expected);
 }
@@ -114,8 +124,9 @@ TEST_F(SplatRendererTest, ShowsTheMouseWhatIsSeenWhosesoeverItIs) {
   pictureOf(maps.first, settings, maps.second, settings);
   picture(maps.both, Rasterizer::kTiles, OrderSource::kAuto);
   const std::vector<std::uint32_t> expected = picked(maps.both);
-  const std::vector<SplatScene::InView> all{{&maps.first, "first's view", settings, camera()},
-                                            {&maps.second, "second's view", settings, camera()}};
+  SplatScene::Picture all;
+  all.add(maps.first, maps.first.layerUnderMouse("first's view", settings, camera()));
+  all.add(maps.second, maps.second.layerUnderMouse("second's view", settings, camera()));
   constexpr std::uint32_t kNumber = 0x123456;
   // What is left of the window: a number where there are picks, the surface.
   const auto left = [](const std::function<void()>& draw) {
@@ -123,7 +134,7 @@ TEST_F(SplatRendererTest, ShowsTheMouseWhatIsSeenWhosesoeverItIs) {
     draw();
     return gl::readPixels(kSize, kSize);
   };
-  const auto numbered = left([&] { SplatScene::drawPick(all, Canvas::kWindow, kNumber); });
+  const auto numbered = left([&] { all.drawPick(Canvas::kWindow, kNumber); });
   std::vector<Pick> picks = maps.first.pick();
   ASSERT_EQ(picks.size(), 2u);
   const Pick::Slots of_first = picks[0].slots(), of_second = picks[1].slots();
@@ -143,12 +154,10 @@ TEST_F(SplatRendererTest, ShowsTheMouseWhatIsSeenWhosesoeverItIs) {
   EXPECT_GT(found[0], 100u);
   EXPECT_GT(found[1], 100u);
 
-  const auto surface = left([&] { SplatScene::drawSurface(all, Canvas::kWindow, 100); });
+  const auto surface = left([&] { all.drawSurface(Canvas::kWindow, 100); });
   EXPECT_GT(*std::max_element(surface.begin(), surface.end()), 0);
-  EXPECT_EQ(surface, left([&] {
-              SplatScene::drawSurface({{&maps.both, "view", settings, camera()}}, Canvas::kWindow,
-                                      100);
-            }));
+  EXPECT_EQ(surface,
+            left([&] { underMouse(maps.both, settings).drawSurface(Canvas::kWindow, 100); }));
 }
 
 // Beside the processor, which draws them by another program.
@@ -237,11 +246,12 @@ TEST_F(SplatRendererTest, DrawsMapsOfOtherFramesInOneOrder) {
   SplatCamera moved = camera();
   moved.translation[0] += 1000;
   second.setCamera("second's view", 1, moved);
-  for (SplatScene* scene : {&first, &second}) scene->prepare(settings);
-  const auto picture_of_both =
-      SplatScene::begin({{&first, "first's view", settings}, {&second, "second's view", settings}},
-                        Canvas::kNone, true);
-  SplatScene::draw(picture_of_both, {});
+  for (SplatScene* scene : {&first, &second}) scene->upload(settings, true);
+  SplatScene::Picture picture_of_both;
+  picture_of_both.add(first, first.layer("first's view", settings, true));
+  picture_of_both.add(second, second.layer("second's view", settings, true));
+  picture_of_both.begin(Canvas::kNone);
+  picture_of_both.draw({});
   const auto together = first.readColor();
   const auto expected = picture(both, Rasterizer::kTiles, OrderSource::kAuto);
   double squares = 0;

@@ -272,9 +272,9 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
     scene.hideFarther("view");
     scene.drawBefore("view");
     EXPECT_EQ(changed(before), State());
-    SplatScene::drawSurface({{&scene, "view", settings, camera()}}, Canvas::kWindow, 100);
+    underMouse(scene, settings).drawSurface(Canvas::kWindow, 100);
     EXPECT_EQ(changed(before), State());
-    SplatScene::drawPick({{&scene, "view", settings, camera()}}, Canvas::kWindow, 0);
+    underMouse(scene, settings).drawPick(Canvas::kWindow, 0);
     scene.pick();
     scene.readSlots({1, 2, 3});
     EXPECT_EQ(changed(before), State());

@@ -19,6 +19,7 @@
 
 #include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/order/order.hpp"
+#include "rosplat_core/order/picture.hpp"
 #include "rosplat_core/painter/painted_map.hpp"
 #include "rosplat_core/painter/painted_surface.hpp"
 #include "rosplat_core/painter/picture_mesh.hpp"
@@ -30,40 +31,33 @@
 
 namespace rosplat {
 
-// A map that a view is to show.
-struct PaintLayer {
-  PaintedMapPtr map;
-  SplatCamera camera;  // in the map's frame; see PictureRequest::layers
-  RenderSettings settings;
-  OrderPtr order;         // of a single layer, for the map's revision; by depth if null or outdated
-  bool unsorted = false;  // of a single layer: draw in the order of slot numbers
-  std::uint64_t age_tick = 0;  // in DrawMode::kAge the time, so that later requests differ
+using PaintedPicture = Picture<PaintedMapPtr>;
 
-  bool operator==(const PaintLayer& o) const;
-};
+// What a view is to show. An order that is outdated isn't drawn.
+struct PaintRequest : PaintedPicture {
+  PaintRequest() = default;
+  explicit PaintRequest(PaintedPicture of) : PaintedPicture(std::move(of)) {}
 
-// What a view is to show.
-struct PaintRequest {
-  std::vector<PaintLayer> layers;                     // at least one
   std::vector<float> scene_depth, translucent_depth;  // as PictureRequest has them
   // How the camera moves. The picture is painted for where the camera will be, if it goes on so, in
   // the middle of the time for which the picture is shown.
   CameraMotion motion;
-  bool window = false;  // the picture is for a window
-  bool rests = false;   // the picture shown has this camera and map already, in less detail
+  bool window = false;         // the picture is for a window
+  bool rests = false;          // the picture shown has this camera and map already, in less detail
+  std::uint64_t age_tick = 0;  // in DrawMode::kAge the time, so that later requests differ
 
-  const SplatCamera& camera() const { return layers.front().camera; }
-  bool interactive() const { return layers.front().settings.interactive; }
+  bool interactive() const { return settings().interactive; }
   // Returns the layer of a map; null if there is none.
-  const PaintLayer* of(const PaintedMap& map) const;
+  const Layer<PaintedMapPtr>* of(const PaintedMap& map) const;
 
+  // Whether both ask for the same picture, whatever the states of its maps.
   bool operator==(const PaintRequest& o) const;
 };
 using PaintRequestPtr = std::shared_ptr<const PaintRequest>;
 
 // A part of a picture for a window: values by pixel, and which cells of the mesh show any of them.
 template <typename T>
-struct PaintedLayer {
+struct PaintedPart {
   std::vector<T> values;
   PictureMesh::Cells cells;
 
@@ -95,8 +89,8 @@ struct Painting {
 
   SplatPicture picture;  // empty if the request is interactive: then only a window shows it
   // For windows only: premultiplied RGBA, with as many bits as windows have.
-  PaintedLayer<std::uint8_t> colour, behind;
-  PaintedLayer<float> hiding;  // window depth of `behind`, where that hides what is farther
+  PaintedPart<std::uint8_t> colour, behind;
+  PaintedPart<float> hiding;  // window depth of `behind`, where that hides what is farther
   PictureMesh mesh;
   PaintedSurface surface;
 };
@@ -172,7 +166,7 @@ class Painter {
   PictureRequest pictureOf(const PaintRequest& asked) const;
   // Has the maps forget former views. view_id: the view that is to show these layers.
   void keepViews(const std::vector<PaintedMapPtr>& maps, const std::string& view_id,
-                 const std::vector<PaintLayer>& layers);
+                 const PaintedPicture& shown);
   void chooseDetail(const std::string& view_id, PictureRequest& request, Painting& painting) const;
   static PaintRequestPtr movedOn(const PaintRequest& request, double seconds);
   // Returns false if cancelled.

@@ -43,7 +43,7 @@ void ViewState::inRegions(gl::Stopwatch& stopwatch, const std::function<void()>&
     list(region, stopwatch);
     const std::size_t regions = tiles_.regions();
     // Regions share the memory of their lists, so this one must be whole before the next begins.
-    if (regions > 1 && !hasRoomForLists(1)) {
+    if (regions > 1 && !checkRoomForLists(1)) {
       if (tiles_.regions() != regions) region = 0;
       continue;
     }
@@ -63,10 +63,10 @@ void ViewState::blendDepth(const gl::Target& target) {
   gl::Stopwatch unused(false);
   do {
     inRegions(unused, [&] { tiles_.blendDepth(splats_, target); });
-  } while (!hasRoomForLists(1));
+  } while (!checkRoomForLists(1));
 }
 
-bool ViewState::hasRoom(const Frame& frame) {
+bool ViewState::checkRoom(const Frame& frame) {
   if (!std::exchange(reported_, false)) return true;
   // Assumes that splats to come are as visible as the present ones; not all announced ones come.
   std::size_t expected = 0, capacity = 0, most = 0;
@@ -79,10 +79,10 @@ bool ViewState::hasRoom(const Frame& frame) {
   const double growth =
       std::clamp(double(expected) / double(std::max<std::size_t>(1, capacity)), 1.0, 4.0);
   const bool enough = splats_.checkRoom(most, growth);
-  return hasRoomForLists(growth) && enough;
+  return checkRoomForLists(growth) && enough;
 }
 
-bool ViewState::hasRoomForLists(double growth) {
+bool ViewState::checkRoomForLists(double growth) {
   if (!std::exchange(listed_, false)) return true;
   return tiles_.checkRoom({tallies_.wait(Tallies::kMacroPairs, Tallies::kWanted),
                            tallies_.wait(Tallies::kLists, 0), tallies_.wait(Tallies::kLists, 1)},

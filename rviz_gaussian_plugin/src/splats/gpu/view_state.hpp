@@ -20,8 +20,8 @@ namespace rosplat {
 // projected, sorted and listed by tiles, so that none of this is done again until the view changes.
 //
 // A frame is submitted stage by stage with as much room as earlier frames have needed:
-// prepare(), maybe list(), then blend() or inRegions(), then hasRoom(), and all of it again if that
-// returns false.
+// prepare(), maybe list(), then blend() or inRegions(), then checkRoom(), and all of it again if
+// that returns false.
 class ViewState {
  public:
   // sort: may be shared with other objects.
@@ -43,7 +43,7 @@ class ViewState {
   void blendDepth(const gl::Target& target);
   // Returns whether there was room for all that was submitted; else makes room. Waits only for the
   // counts, which the graphics card finds first.
-  bool hasRoom(const Frame& frame);
+  bool checkRoom(const Frame& frame);
 
   const OrderedSplats& splats() const { return splats_; }
   const TileRasterizer& tiles() const { return tiles_; }
@@ -56,13 +56,13 @@ class ViewState {
 
  private:
   void list(std::size_t region, gl::Stopwatch& stopwatch);
-  bool hasRoomForLists(double growth);
+  bool checkRoomForLists(double growth);
 
   Tallies tallies_;
   OrderedSplats splats_;
   TileRasterizer tiles_;
   gl::Buffer block_;
-  bool reported_ = false;       // counts are reported, and hasRoom() is to read them
+  bool reported_ = false;       // counts are reported, and checkRoom() is to read them
   bool listed_ = false;         // splats were listed by tiles in this frame
   int width_ = 0, height_ = 0;  // of the last frame [px]
   bool top_first_ = false;
