@@ -773,7 +773,7 @@ def test_slots_are_drawn_unsorted_where_nobody_is_to_sort(host: Host) -> None:
     host.show(splats)
     host.set(order=OrderSource.OFF, float_blending=True)
     host.look(CAMERAS["outside"])
-    assert host.renderer.draw("test")["order_source"] == "nobody"
+    assert host.renderer.draw("test")["order_source"] == "unsorted"
     expected = reference.render(splats, CAMERAS["outside"], order=np.arange(300)).rgba
     assert decibels(host.renderer.read_color(), expected) >= 70
 
@@ -789,7 +789,7 @@ def test_what_is_sorted_now_is_sorted_where_that_takes_least(host: Host) -> None
         host.set(order=source, float_blending=True)
         host.look(CAMERAS["outside"])
         report = host.renderer.draw("test", sort_now=True)
-        assert report["order_source"] == ("nobody" if source == OrderSource.OFF else best)
+        assert report["order_source"] == ("unsorted" if source == OrderSource.OFF else best)
         unsorted = np.arange(300) if source == OrderSource.OFF else None
         expected = reference.render(splats, CAMERAS["outside"], order=unsorted).rgba
         assert decibels(host.renderer.read_color(), expected) >= 70

@@ -145,7 +145,7 @@ def test_pictures_are_answered_whatever_is_seen(rviz: Rviz, world: World) -> Non
 def test_pictures_wait_for_no_sidecar_where_the_display_sorts(rviz: Rviz, world: World) -> None:
     world.map.replace(disc((1, 0, 0)))
     rviz.until_status("Map", "Map", "Ok", "1 splats")
-    for source, sorter in [("Auto", "processor"), ("Off", "nobody")]:
+    for source, sorter in [("Auto", "processor"), ("Off", "unsorted")]:
         rviz.set("Map", "Order Source", value=source)
         answer = ask_for_picture(world, order_timeout=60.0)  # longer than this waits
         assert answer.order_source == sorter

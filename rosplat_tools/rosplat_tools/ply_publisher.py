@@ -167,7 +167,7 @@ class PlyPublisher(Node):
                 response.message = self.load(request.path, self._scene_root)
             else:
                 self._ask()
-                response.message = "what was being loaded is not read any further"
+                response.message = "loading was cancelled"
             response.success = True
         except Cancelled:
             response.message = (

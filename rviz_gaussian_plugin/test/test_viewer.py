@@ -536,7 +536,7 @@ def test_a_renderer_that_sorts_itself_asks_no_sorter(
         ("up", []),
         ("up", [0.0, 0.0, 0.0]),
         ("up", [float("nan"), 0.0, 1.0]),
-        ("order_source", "nobody"),
+        ("order_source", "unsorted"),
         ("detail", "much"),
     ],
 )

@@ -125,7 +125,8 @@ StatusLine mapStatus(const MapState& map, const Backlog& backlog) {
 }
 
 StatusLine orderStatus(const FrameReport& frame, const std::string& view) {
-  std::string text = concat(frame.splats, " splats by ", frame.order_source);
+  const bool sorted = frame.order_source != "unsorted";
+  std::string text = concat(frame.splats, sorted ? " splats by " : " splats ", frame.order_source);
   if (frame.sort_time > 0) text += concat(" in ", frame.sort_time * 1e3, " ms");
   if (frame.order_fresh) {
     text += ", fresh";

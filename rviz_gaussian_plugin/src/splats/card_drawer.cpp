@@ -59,7 +59,7 @@ OrderPtr CardDrawer::unsorted() {
   if (unsorted_ && unsorted_of_ == of) return unsorted_;
   auto order = std::make_shared<Order>();
   order->map_id = map_.id;
-  order->source = "nobody";
+  order->source = "unsorted";
   order->slots = pages.slots(map_.capacity);
   order->bound = map_.capacity;
   unsorted_of_ = of;

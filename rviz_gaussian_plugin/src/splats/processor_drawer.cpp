@@ -79,7 +79,7 @@ FrameReport ProcessorDrawer::describe(const Layer<Drawer*>& layer, const Paintin
     report.order_age = layer.order.order ? layer.order.age : report.picture_age;
     report.sort_time = of.order->sort_time;
   } else if (painting.request->unsorted()) {
-    report.order_source = "nobody";
+    report.order_source = "unsorted";
   } else {
     report.order_source = "processor";
     report.order_fresh = exact;

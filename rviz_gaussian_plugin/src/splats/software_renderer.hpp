@@ -37,9 +37,10 @@ class SoftwareRenderer {
   // picture, warped to this camera. Returns the picture that is shown, null if there is none yet.
   // It may lack some of these maps, and hold others. Throws PictureError.
   PaintingPtr draw(const PaintedPicture& picture, Canvas canvas, const Surroundings& around = {});
-  // Whether draw() showed exactly its camera and the maps, as they were then or at request().
+  // Whether the picture that draw() showed is of its very camera, and of the maps as they were then
+  // or at request().
   bool exact() const { return exact_; }
-  // When the view of the last draw() was exact for the last time. [s]
+  // Time of the last draw() of that view after which exact() was true. [s]
   double exactUntil() const { return drawn_ ? drawn_->exact_until : 0; }
   // After a draw() with translucent objects; see SplatRenderer.
   void hideFarther() const;

@@ -97,11 +97,11 @@ TEST_F(SplatRendererTest, UnsortedSlotsFarApartCostTheirPages) {
   splats.add({0, 0, 6}, {0, 1, 0});
   scene.apply(splats.batch(1, {0, 5 << 16}));
   const auto drawn = picture(scene, Rasterizer::kTiles, OrderSource::kOff);
-  EXPECT_EQ(scene.report("view").order_source, "nobody");
+  EXPECT_EQ(scene.report("view").order_source, "unsorted");
   EXPECT_EQ(scene.report("view").splats, 1024u + 1);
   EXPECT_LT(greatestDifference(picture(scene, Rasterizer::kProcessor, OrderSource::kOff), drawn),
             1e-4f);
-  EXPECT_EQ(scene.report("view").order_source, "nobody");
+  EXPECT_EQ(scene.report("view").order_source, "unsorted");
   EXPECT_EQ(scene.report("view").splats, 2u);
 }
 

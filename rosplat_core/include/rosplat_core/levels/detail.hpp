@@ -18,8 +18,8 @@ std::string toText(const Detail& detail);
 // Chooses the error for each of a view's pictures in turn.
 class DetailControl {
  public:
-  // Tells what pictures are expected to draw, from the camera of the next one or, where they are
-  // interactive, of the last one.
+  // Sets the estimate of what the next picture draws at each error. It is made for that picture's
+  // camera or, where pictures are interactive, for the last one's.
   void expect(CutEstimate drawn) { expected_ = drawn; }
   bool expects() const { return expected_.has_value(); }
   // Returns the error for the next picture [px]. 0 draws all in full, in place of an error that

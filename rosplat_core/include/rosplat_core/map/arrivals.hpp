@@ -36,7 +36,8 @@ class Arrivals : public std::enable_shared_from_this<Arrivals> {
   // Applies an edit. May throw, even halfway; it is then called with that edit again.
   using Apply = std::function<void(const EditQueue::Waiting& arrival)>;
 
-  // The right to take edits, from handOver() to this taker until handOver() to another.
+  // A drawer's permission to take edits: handOver() gives it to one drawer, and ends that of the
+  // drawer before.
   class Taker {
    public:
     // Applies the oldest edit, or a part of it as large as the whole budget. Returns false if none

@@ -32,9 +32,9 @@ namespace rosplat {
 // first answer to any of these requests counts. After kMostLate requests in vain, batches no longer
 // wait. What has come is kept: the round goes on at its block as soon as an answer comes.
 //
-// A receiver that knows no map asks for any. It asks now and then even if no server is known: ROS
-// reports a server late, and reports none while one of several is half known. A receiver that hears
-// nothing for a while asks whether it has everything: the last batch may be lost.
+// A receiver that knows no map asks for any. It asks now and then even if no server is known:
+// discovery reports a server late, and none while it knows only a part of one. A receiver that
+// hears nothing for a while asks whether it has everything: the last batch may be lost.
 template <typename Batch>
 class MapPull {
  public:
