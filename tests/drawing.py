@@ -18,7 +18,6 @@ from rosplat_core.rendering import posed
 from rosplat_core.splats import Splats
 from rosplat_lab.bench.embedded import NumberedView
 from rosplat_msgs.msg import GaussianArray
-from rosplat_ros import batches
 from rosplat_ros.messages import Slots
 from rosplat_testing import messages
 
@@ -117,7 +116,7 @@ class Target:
         return {"header": Header(), "map_id": str(self.map_id), "revision": self.revision}
 
     def _apply(self, batch: GaussianArray) -> None:
-        batches.apply(self.renderer, batch)
+        self.renderer.apply(batch)
 
     def draw(self, camera: Camera = CAMERAS["outside"]) -> Array:
         """(height, width, 4) premultiplied RGBA."""

@@ -40,7 +40,6 @@ from rosplat_lab.bench import scenes
 from rosplat_lab.bench.line import Line, NoLine
 from rosplat_lab.machine import machine
 from rosplat_msgs.srv import RenderView
-from rosplat_ros.batches import apply
 from rosplat_ros.program.processes import Processes, interrupt_by_signals, node_command
 from rosplat_ros.view_cameras import numbers, view_camera
 
@@ -73,7 +72,7 @@ class Truth:
         """(height, width, 4) after a step, which can't be before the last that was asked for."""
         while self._step < step:
             self._step += 1
-            apply(self._renderer, as_message(next(self._steps), self._step))
+            self._renderer.apply(as_message(next(self._steps), self._step))
         return self._renderer.draw(SplatCamera(*numbers(self.camera)))["colour"]
 
     @property

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rosplat_core.maps import Arrival, GaussianMap, PublishedBatch, PublishedMap
 from rosplat_msgs.msg import GaussianArray
-from rosplat_ros.batches import apply, pose_values
+from rosplat_ros.batches import pose_values
 from rosplat_sorter.map import SplatMap
 from rosplat_testing import messages, slot_map
 
@@ -29,7 +29,7 @@ class Display:
         self.map = GaussianMap()
 
     def take(self, message: GaussianArray, arrival: Arrival = Arrival.HEARD) -> int:
-        return int(apply(self.map, message, arrival)["dropped"])
+        return int(self.map.apply(message, arrival)["dropped"])
 
     def in_use(self, slot: int) -> bool:
         return bool(self.map.in_use(slot))

@@ -34,7 +34,6 @@ from rosplat_core.view import SortView
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import LoadScene, RenderView, SaveMap
 from rosplat_ros import view_cameras
-from rosplat_ros.batches import apply
 from rosplat_ros.map_publisher import as_message
 from rosplat_ros.program.processes import Processes
 from rosplat_ros.qos import MAP, VIEW
@@ -150,7 +149,7 @@ def receive() -> Claims:
                 results = [outcome(receiver, message) for receiver in (display, sorter)]
                 assert results[0] == results[1], (results, brief(message))
                 with contextlib.suppress(ValueError):
-                    apply(drawing, message)
+                    drawing.apply(message)
             numbered &= (message.revision, message.map_id) == (number, "map")
             numbered &= message.model == batches[0].model
             if results[0] == "refused":
@@ -323,7 +322,7 @@ def draw() -> Claims:
                 claims.of(case, size_of(message), _allowed(message)),
                 contextlib.suppress(ValueError),
             ):
-                apply(renderer, message)
+                renderer.apply(message)
         order = fuzz.order(rng, max(1, renderer.capacity), shared)
         with (
             claims.of(case, size_of(order), 32 * size_of(order) + (4 << 20)),

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ import drawing
 from drawing import decibels
 from rosplat_core import ordering
 from rosplat_core.cameras import Camera, look_at
-from rosplat_core.maps import BatchError
+from rosplat_core.maps import BatchError, batch_of
 from rosplat_core.models import Model
 from rosplat_core.rendering import (
     ClipBox,
@@ -37,8 +38,6 @@ from rviz_gaussian_plugin.offscreen import Renderer
 
 WIDTH, HEIGHT = 160, 120
 TOLD: list[str] = []  # of orders, by the one renderer of this process
-NO_FLOATS = np.zeros(0, np.float32)
-NO_SLOTS = np.zeros(0, np.uint32)
 
 
 class Host:
@@ -55,20 +54,10 @@ class Host:
         fields = {
             "operation": operation,
             "first_slot": first,
-            "count": len(splats),
-            "slots": NO_SLOTS,
-            "sh_degree": splats.sh_degree,
-            "model": splats.model,
-            "origin": tuple(splats.origin),
-            "positions": splats.positions.ravel(),
-            "orientations": splats.orientations.ravel(),
-            "scales": splats.scales.ravel(),
-            "opacities": splats.opacities,
-            "sh": splats.sh.ravel(),
             "map_id": str(self.map),
             "revision": self.revision,
         }
-        return self.renderer.apply(**(fields | overrides))
+        return self.renderer.apply(batch_of(splats, **fields | overrides))
 
     def set(self, **settings: Any) -> None:
         for name, value in settings.items():
@@ -83,8 +72,10 @@ class Host:
     def delete(self, first: int, count: int) -> None:
         self.revision += 1
         self.renderer.apply(
-            2, first, count, NO_SLOTS, 0, False, (0, 0, 0), *[NO_FLOATS] * 5,
-            str(self.map), self.revision,
+            SimpleNamespace(
+                operation=2, first_slot=first, count=count, map_id=str(self.map),
+                revision=self.revision,
+            )
         )  # fmt: skip
 
     def look(self, camera: Camera) -> None:

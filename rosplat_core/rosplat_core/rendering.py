@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from rosplat_core import _core
 from rosplat_core.cameras import Camera
-from rosplat_core.maps import MOVE, REPLACE, UPSERT
-from rosplat_core.models import Model
+from rosplat_core.maps import REPLACE, UPSERT, batch_of, move_of
 from rosplat_core.splats import Splats, check_splats
 
 ChannelColours = _core.ChannelColours
@@ -41,8 +40,6 @@ def psnr_of(square: float) -> float:
 MOST_THREADS = 1024
 BATCH_BYTES = 8_000_000  # as in publishers' batches
 MAP = "map"
-
-_NO_SLOTS: NDArray[np.uint32] = np.zeros(0, np.uint32)
 
 
 class CpuRenderer(_core.CpuRenderer):
@@ -118,12 +115,12 @@ def batches(splats: Splats) -> Iterator[slice]:
 
 def insert(renderer: Any, splats: Splats, part: slice, revision: int) -> None:
     """Writes a part of the splats to a renderer's slots of the same numbers; revision 1 begins."""
+    operation = REPLACE if revision == 1 else UPSERT
     renderer.apply(
-        REPLACE if revision == 1 else UPSERT, part.start, part.stop - part.start, _NO_SLOTS,
-        splats.sh_degree, splats.model, tuple(splats.origin.tolist()),
-        splats.positions[part].ravel(), splats.orientations[part].ravel(),
-        splats.scales[part].ravel(), splats.opacities[part], splats.sh[part].ravel(),
-        MAP, revision, len(splats),
+        batch_of(
+            splats, part, operation=operation, first_slot=part.start, map_id=MAP,
+            revision=revision, expected_slots=len(splats),
+        )
     )  # fmt: skip
 
 
@@ -140,18 +137,13 @@ def edit(
 ) -> None:
     """UPSERT: writes splats to the slots. DELETE: empties the slots, with splats of length 0."""
     renderer.apply(
-        operation, 0, len(slots), slots.astype(np.uint32),
-        splats.sh_degree, splats.model, tuple(splats.origin.tolist()),
-        splats.positions.ravel(), splats.orientations.ravel(),
-        splats.scales.ravel(), splats.opacities, splats.sh.ravel(), MAP, revision,
+        batch_of(
+            splats, operation=operation, count=len(slots), slots=slots.astype(np.uint32),
+            map_id=MAP, revision=revision,
+        )
     )  # fmt: skip
 
 
 def move(renderer: Any, poses: Mapping[int, Sequence[float]], revision: int) -> None:
     """Gives groups poses in the map's frame: position x y z [m], quaternion x y z w."""
-    none: NDArray[np.float32] = np.zeros(0, np.float32)
-    renderer.apply(
-        MOVE, 0, 0, _NO_SLOTS, 0, Model.EWA, (0.0, 0.0, 0.0), none, none, none, none, none, MAP,
-        revision, groups=np.array(list(poses), np.uint32),
-        poses=np.array(list(poses.values()), np.float64).ravel(),
-    )  # fmt: skip
+    renderer.apply(move_of(poses, map_id=MAP, revision=revision))

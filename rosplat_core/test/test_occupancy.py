@@ -10,7 +10,7 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from rosplat_core.maps import DELETE, MOVE, REPLACE, UPSERT, Arrival, BatchError
+from rosplat_core.maps import DELETE, MOVE, REPLACE, UPSERT, Arrival, BatchError, batch_of, move_of
 from rosplat_core.occupancy import (
     FREE,
     OCCUPIED,
@@ -57,14 +57,9 @@ class Author:
     ) -> None:  # fmt: skip
         self.revision += 1
         some = cloud(0, 0) if splats is None else splats
-        poses = poses or {}
-        self.target.apply(
-            operation, 0, len(slots), slots, 1, False, tuple(some.origin.tolist()),
-            some.positions.ravel(), some.orientations.ravel(), some.scales.ravel(),
-            some.opacities, some.sh.ravel(), MAP, self.revision, group=group,
-            groups=np.array(list(poses), np.uint32), poses=np.array(list(poses.values())),
-            arrival=arrival,
-        )  # fmt: skip
+        named = {"map_id": MAP, "revision": self.revision, "group": group}
+        batch = batch_of(some, operation=operation, count=len(slots), slots=slots, **named)
+        self.target.apply(move_of(poses, **named) if poses else batch, arrival)
 
 
 def same(one: OccupancyMap, other: OccupancyMap) -> bool:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import payload
-from rosplat_core.maps import Arrival
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import Pose
@@ -18,25 +17,6 @@ if TYPE_CHECKING:
 _ARRAYS = (
     "slots", "payload", "positions", "orientations", "scales", "opacities", "sh", "channels",
 )  # fmt: skip
-
-
-def apply(target: Any, batch: GaussianArray, arrival: Arrival = Arrival.HEARD) -> dict[str, int]:
-    """Hands a batch to a Renderer, a CpuRenderer or a map of rosplat_core.
-
-    Returns "missed", the number of batches missed before it, and "dropped", that of its splats that
-    were dropped. Raises BatchError, naming the field, for a batch that contradicts itself.
-    """
-    origin = batch.origin
-    report: dict[str, int] = target.apply(
-        batch.operation, batch.first_slot, batch.count, array(batch.slots, np.uint32),
-        batch.sh_degree, batch.model, (origin.x, origin.y, origin.z), array(batch.positions),
-        array(batch.orientations), array(batch.scales), array(batch.opacities), array(batch.sh),
-        batch.map_id, batch.revision, batch.expected_slots, batch.format,
-        array(batch.payload, np.uint8), arrival, batch.group, array(batch.groups, np.uint32),
-        np.array([[*sum(pose_values(pose), ())] for pose in batch.poses]),
-        batch.channel_names, array(batch.channels),
-    )  # fmt: skip
-    return report
 
 
 def array(values: object, dtype: type = np.float32) -> NDArray[Any]:

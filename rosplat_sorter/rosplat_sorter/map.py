@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core._core import SortMap
-from rosplat_core.maps import Arrival
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
-from rosplat_ros import batches
 
 if TYPE_CHECKING:
-    from rosplat_msgs.msg import GaussianArray
+    pass
 
 # An index for NumPy: a range of rows, or an array of them.
 Rows: TypeAlias = "slice | NDArray[np.int64]"
@@ -27,14 +25,6 @@ class SplatMap(SortMap):
     Each page of neighbouring slots that was ever written has a row for each of its slots. Arrays
     are views of the map's memory, valid until the next batch.
     """
-
-    def take(self, batch: GaussianArray, arrival: Arrival = Arrival.HEARD) -> dict[str, int]:
-        """Applies a batch; returns the numbers of batches missed and splats dropped, as apply.
-
-        Raises BatchError for a batch that contradicts itself or the map, and MemoryError where the
-        map can't grow so far. The map then stays as it was.
-        """
-        return batches.apply(self, batch, arrival)
 
     @property
     def rows(self) -> int:

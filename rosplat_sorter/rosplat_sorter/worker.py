@@ -289,7 +289,7 @@ class Worker:
         batch, arrival = waiting
         splats, known_map = self._map, self._map.map_id
         try:
-            report = splats.take(batch, arrival)
+            report = splats.apply(batch, arrival)
         except (MemoryError, BatchError) as error:
             self._dropped_batches += 1
             self._host.warn(

@@ -60,7 +60,7 @@ def cameras(make_camera, random):
 
 
 def take(backend, splats, batch):
-    splats.take(batch)
+    splats.apply(batch)
     backend.update(splats, splats.changed_rows)
 
 
@@ -85,7 +85,7 @@ def test_random_maps(backend, make_camera, make_edit, step, origin):
         positions = np.round(positions / step) * step
     splats = SplatMap()
     extents = random.uniform(-0.02, 0.1, count).astype(np.float32)
-    splats.take(make_edit(positions, extents, origin=np.full(3, origin)))
+    splats.apply(make_edit(positions, extents, origin=np.full(3, origin)))
     backend.update(splats, slice(0, splats.rows))
     visible = 0
     for camera in cameras(make_camera, random):
@@ -100,7 +100,7 @@ def test_depths_of_any_magnitude(backend, make_camera, make_edit):
     positions = np.zeros((count, 3))
     positions[:, 2] = 10.0 ** random.uniform(-44, 38, count)
     splats = SplatMap()
-    splats.take(make_edit(positions))
+    splats.apply(make_edit(positions))
     backend.update(splats, slice(0, splats.rows))
     far = float(np.finfo(np.float32).max)
     for near in (1e-45, 0.1, 1e30):
@@ -183,11 +183,11 @@ def test_a_group_far_beyond_all_hides_no_other(backend, make_camera, make_edit, 
             revision=group + 1,
             group=group,
         )
-        splats.take(edit)
+        splats.apply(edit)
         if group != 1:
-            without.take(edit)
+            without.apply(edit)
     away = {1: ((far, -far, far), (0, 0, 0, 1))}
-    splats.take(make_edit([], revision=4, operation=MOVE, poses=away))
+    splats.apply(make_edit([], revision=4, operation=MOVE, poses=away))
     backend.update(splats, slice(0, splats.rows))
     seen = 0
     for camera in cameras(make_camera, random):
@@ -204,7 +204,7 @@ def test_orders_in_shared_memory(backend, make_camera, make_edit):
     random = np.random.default_rng(10)
     count = 10_000
     splats = SplatMap()
-    splats.take(make_edit(random.normal(size=(count, 3)) * 8))
+    splats.apply(make_edit(random.normal(size=(count, 3)) * 8))
     backend.update(splats, slice(0, splats.rows))
     for camera in cameras(make_camera, random):
         view = SortView.of(camera, splats.frames)
@@ -227,7 +227,7 @@ def test_one_splat_nothing_visible_and_no_map(backend, make_camera, make_edit):
     splats = SplatMap()
     backend.update(splats, slice(0, 0))
     assert assert_equal_to_reference(backend, splats, make_camera()) == 0
-    splats.take(make_edit([[0, 0, 5]]))
+    splats.apply(make_edit([[0, 0, 5]]))
     backend.update(splats, slice(0, splats.rows))
     assert assert_equal_to_reference(backend, splats, make_camera()) == 1
     assert assert_equal_to_reference(backend, splats, make_camera(far_clip=1.0)) == 0
@@ -254,7 +254,7 @@ def test_memory_that_cupy_pinned_is_unpinned_when_its_segment_goes(make_camera, 
     import cupy
 
     splats = SplatMap()
-    splats.take(make_edit([[0, 0, 3]]))
+    splats.apply(make_edit([[0, 0, 3]]))
     backend.update(splats, slice(0, splats.rows))
     orders = SharedOrders()
     slots = backend.order(SortView.of(make_camera()), OrderBuffer(orders).begin)
@@ -267,7 +267,7 @@ def test_memory_that_cupy_pinned_is_unpinned_when_its_segment_goes(make_camera, 
 
 def test_zeros_of_both_signs_tie(backend, make_camera, make_edit):
     splats = SplatMap()
-    splats.take(make_edit([[0, 0, z] for z in (0.0, -0.0, 1e-40, 0.0, -1e-40, -0.0)]))
+    splats.apply(make_edit([[0, 0, z] for z in (0.0, -0.0, 1e-40, 0.0, -1e-40, -0.0)]))
     backend.update(splats, slice(0, splats.rows))
     camera = make_camera(orthographic=True, near_clip=-1.0, far_clip=1.0)
     assert assert_equal_to_reference(backend, splats, camera) == 6
@@ -275,7 +275,7 @@ def test_zeros_of_both_signs_tie(backend, make_camera, make_edit):
 
 def test_what_overflows_float32_is_not_visible(backend, make_camera, make_edit):
     splats = SplatMap()
-    splats.take(make_edit([[3e38, -3e38, 3e38], [0, 0, 5], [np.inf, np.inf, 1]]))
+    splats.apply(make_edit([[3e38, -3e38, 3e38], [0, 0, 5], [np.inf, np.inf, 1]]))
     backend.update(splats, slice(0, splats.rows))
     camera = make_camera(orientation=(0.1, 0.2, 0.0, 1.0))
     assert assert_equal_to_reference(backend, splats, camera) == 1

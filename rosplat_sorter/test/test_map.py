@@ -23,14 +23,14 @@ def test_a_batch_becomes_positions_and_extents(make_batch):
 
 def test_opacities_beyond_one_are_one_and_faint_splats_are_invisible(make_batch):
     splats = SplatMap()
-    assert splats.take(make_batch(opacities=[5.0, 0.001, 1.0]))["dropped"] == 0
+    assert splats.apply(make_batch(opacities=[5.0, 0.001, 1.0]))["dropped"] == 0
     assert splats.extents[0] == splats.extents[2] > 0
     assert splats.extents[1] == -1
     assert splats.splats == 3
 
 
 def apply(splats, message):
-    splats.take(message)
+    splats.apply(message)
     return splats.changed_rows
 
 
@@ -174,12 +174,12 @@ def test_a_page_is_of_one_group_until_it_is_empty(make_batch):
 def test_batches_that_follow_a_pull_may_be_behind_it(make_batch):
     """A block was given to another group meanwhile: what it holds comes once more."""
     splats = SplatMap()
-    splats.take(make_batch(2, first_slot=1024, group=2, revision=9), Arrival.PULLED)
-    splats.take(make_batch(4, slots=[0, 1024, 1025, 1026], group=1, revision=7), Arrival.PULLED)
+    splats.apply(make_batch(2, first_slot=1024, group=2, revision=9), Arrival.PULLED)
+    splats.apply(make_batch(4, slots=[0, 1024, 1025, 1026], group=1, revision=7), Arrival.PULLED)
     assert in_use(splats) == [0, 1024, 1025, 1026]
     assert splats.splats == 4
-    splats.take(make_batch(1024, operation=2, first_slot=1024, revision=8), Arrival.PULLED)
-    splats.take(make_batch(2, first_slot=1024, group=2, revision=9), Arrival.LAST)
+    splats.apply(make_batch(1024, operation=2, first_slot=1024, revision=8), Arrival.PULLED)
+    splats.apply(make_batch(2, first_slot=1024, group=2, revision=9), Arrival.LAST)
     assert in_use(splats) == [0, 1024, 1025]
     assert (splats.splats, splats.revision, splats.missed) == (3, 9, 0)
 

@@ -13,7 +13,7 @@ from std_msgs.msg import Header
 from rosplat_core.log_text import counted, shown
 from rosplat_core.maps import Arrival
 from rosplat_msgs.msg import GaussianArray
-from rosplat_ros.batches import apply, array_bytes
+from rosplat_ros.batches import array_bytes
 from rosplat_ros.map_receiver import MapReceiver
 
 MOST_WAITING = 1 << 25  # of batches; batches beyond that are pulled later [bytes]
@@ -68,7 +68,7 @@ class MapSubscriber:
         for _ in range(len(self._waiting)):  # those that come meanwhile can keep it from ending
             batch, arrival = self._waiting.popleft()
             try:
-                dropped = apply(self._target, batch, arrival)["dropped"]
+                dropped = self._target.apply(batch, arrival)["dropped"]
             except (ValueError, MemoryError) as error:  # no message may end the node
                 self._refused += 1
                 reason = shown(error, 300) or "out of memory"

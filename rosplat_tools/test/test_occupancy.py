@@ -29,7 +29,6 @@ from rosplat_core.occupancy import OccupancyMap, grid_of
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, SaveMap
-from rosplat_ros.batches import apply
 from rosplat_ros.map_publisher import MapPublisher
 from rosplat_ros.program.running import spinning
 from rosplat_ros.qos import MAP
@@ -283,7 +282,7 @@ def test_a_grid_that_takes_long_shows_all_batches_that_have_come(
         return slowly
 
     monkeypatch.setattr(occupancy, "grid_of", slow(grid_of, 0.5))
-    monkeypatch.setattr(map_subscriber, "apply", slow(apply, 0.05))
+    monkeypatch.setattr(OccupancyMap, "apply", slow(OccupancyMap.apply, 0.05))
     grid = Heard(node, OccupancyGrid, "gaussians/occupancy")
     publisher = MapPublisher(node)
     with running(node, "resolution:=0.1", "period:=0.05"):

@@ -24,7 +24,6 @@ from rosplat_core.rendering import SplatCamera, insert_all
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
-from rosplat_ros.batches import apply
 from rosplat_ros.map_publisher import MapPublisher
 from rosplat_ros.program.running import spinning
 from rosplat_ros.qos import MAP_VOLATILE, ORDER, VIEW
@@ -345,14 +344,14 @@ def test_a_map_of_groups_is_framed_as_its_splats_lie() -> None:
     )
     of = {"header": Header(), "map_id": "map"}
     replaces = GaussianArray.REPLACE
-    apply(books, encode(splats, np.arange(len(splats)), revision=1, operation=replaces, **of))
+    books.apply(encode(splats, np.arange(len(splats)), revision=1, operation=replaces, **of))
     turn = Pose(orientation=Quaternion(z=0.5**0.5, w=0.5**0.5))
     for revision, centre in ((2, (4.5e6, 0, 0)), (3, (0, 4.5e6, 0))):
         assert 1000 < len(books.sample) <= 4096
         found, radius = bounds(books.sample)
         np.testing.assert_allclose(found, centre, atol=0.1)
         assert radius == pytest.approx(0.98 * 3**0.5, rel=0.02)
-        apply(books, encode_move({0: turn}, revision=revision, **of))
+        books.apply(encode_move({0: turn}, revision=revision, **of))
 
 
 @pytest.fixture

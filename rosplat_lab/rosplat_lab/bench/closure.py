@@ -78,19 +78,16 @@ def _scene(name: str, picture: tuple[int, int], budget: Budget) -> Iterator[Even
 def _insert(renderer: Renderer, splats: Splats) -> int:
     """Inserts a map of submaps, each of neighbours in space; returns its revision."""
     revision, first = 1, 0
-    renderer.apply(
-        maps.REPLACE, 0, 0, _NO_SLOTS, 0, splats.model, (0.0, 0.0, 0.0),
-        *[_NO_FLOATS] * 5, rendering.MAP, revision, len(splats),
-    )  # fmt: skip
+    fields = {"map_id": rendering.MAP, "expected_slots": len(splats)}
+    renderer.apply(maps.batch_of(splats, slice(0), revision=revision, **fields))
     for group in range(SUBMAPS):
         part = slice(len(splats) * group // SUBMAPS, len(splats) * (group + 1) // SUBMAPS)
         revision += 1
         renderer.apply(
-            maps.UPSERT, first, part.stop - part.start, _NO_SLOTS, splats.sh_degree,
-            splats.model, tuple(splats.origin.tolist()), splats.positions[part].ravel(),
-            splats.orientations[part].ravel(), splats.scales[part].ravel(),
-            splats.opacities[part], splats.sh[part].ravel(), rendering.MAP, revision, len(splats),
-            group=group,
+            maps.batch_of(
+                splats, part, operation=maps.UPSERT, first_slot=first, revision=revision,
+                group=group, **fields,
+            )
         )  # fmt: skip
         first += -(-(part.stop - part.start) // SLOTS_PER_PAGE) * SLOTS_PER_PAGE
     return revision
@@ -106,11 +103,4 @@ def _poses(random: np.random.Generator) -> NDArray[np.float64]:
 
 
 def _move(renderer: Renderer, poses: NDArray[np.float64], revision: int) -> None:
-    renderer.apply(
-        maps.MOVE, 0, 0, _NO_SLOTS, 0, False, (0.0, 0.0, 0.0), *[_NO_FLOATS] * 5,
-        rendering.MAP, revision, groups=np.arange(SUBMAPS, dtype=np.uint32), poses=poses,
-    )  # fmt: skip
-
-
-_NO_SLOTS: NDArray[np.uint32] = np.zeros(0, np.uint32)
-_NO_FLOATS: NDArray[np.float32] = np.zeros(0, np.float32)
+    rendering.move(renderer, dict(enumerate(poses)), revision)

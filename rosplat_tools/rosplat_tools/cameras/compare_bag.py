@@ -21,7 +21,6 @@ from rosplat_core.rendering import CpuRenderer
 from rosplat_core.scenes import NAMES, load_scene
 from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import Comparison, GaussianArray
-from rosplat_ros.batches import apply
 from rosplat_ros.images import read_mask
 from rosplat_ros.poses import to_matrix, to_pose
 from rosplat_ros.program.said_once import words_of
@@ -109,7 +108,7 @@ class Bag:
             self.info = self.info or message
         elif topic == self._map:
             try:
-                apply(self.renderer, message)
+                self.renderer.apply(message)
             except ValueError as error:
                 raise SceneError(f"{shown(self.path)}: {topic}: {error}") from error
             if message.operation == GaussianArray.REPLACE:

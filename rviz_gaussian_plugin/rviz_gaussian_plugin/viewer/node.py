@@ -23,7 +23,7 @@ from rosplat_core.rendering import OrderSource, RenderSettings
 from rosplat_core.splats import SceneError
 from rosplat_msgs.msg import FirstView, GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
-from rosplat_ros.batches import apply, array
+from rosplat_ros.batches import array
 from rosplat_ros.first_views import read_first_view
 from rosplat_ros.images import to_image
 from rosplat_ros.map_receiver import MapReceiver
@@ -168,7 +168,7 @@ class Viewer(Node):
             )
 
     def _take(self, message: GaussianArray, arrival: Arrival) -> None:
-        report = apply(self.renderer, message, arrival)
+        report = self.renderer.apply(message, arrival)
         if report["missed"] or report["dropped"]:
             self.get_logger().warning(
                 f"{self._map.topic}: {counted(report['missed'], 'batch', 'batches')} missing, "

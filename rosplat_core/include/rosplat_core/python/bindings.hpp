@@ -41,18 +41,6 @@ inline Array<double> toArray(const std::vector<std::array<double, 3>>& points) {
   return array;
 }
 
-// Poses from 7 numbers each: position [m], quaternion x y z w.
-inline std::vector<Pose> posesOf(const Array<double>& values) {
-  const ArrayView<double> numbers = values;
-  if (numbers.size % 7 != 0) throw BatchError("poses are of 7 numbers each");
-  std::vector<Pose> poses(numbers.size / 7);
-  for (std::size_t i = 0; i < poses.size(); ++i) {
-    const double* const pose = &numbers[7 * i];
-    poses[i] = {{pose[0], pose[1], pose[2]}, {pose[3], pose[4], pose[5], pose[6]}};
-  }
-  return poses;
-}
-
 // A camera from the arguments of Python's SplatCamera and set_camera.
 inline SplatCamera cameraOf(const std::array<double, 3>& position,
                             const std::array<double, 4>& orientation, int projection, double fx,
@@ -65,57 +53,93 @@ inline SplatCamera cameraOf(const std::array<double, 3>& position,
                     near_clip, far_clip);
 }
 
-// A method `apply` with the fields of a GaussianArray. take: a function of the target and a batch.
+// Reads a GaussianArray, or anything with its fields, by name. Fields that are missing are as in an
+// empty message. Holds what the batch's arrays refer to.
+class ReadBatch {
+ public:
+  explicit ReadBatch(py::object message) : message_(std::move(message)) {
+    read("operation", batch_.operation);
+    read("first_slot", batch_.first_slot);
+    read("count", batch_.count);
+    read("slots", batch_.slots);
+    read("sh_degree", batch_.sh_degree);
+    read("model", batch_.model);
+    if (py::hasattr(message_, "origin")) batch_.origin = pointOf(message_.attr("origin"));
+    read("positions", batch_.positions);
+    read("orientations", batch_.orientations);
+    read("scales", batch_.scales);
+    read("opacities", batch_.opacities);
+    read("sh", batch_.sh);
+    read("map_id", batch_.map_id);
+    read("revision", batch_.revision);
+    read("expected_slots", batch_.expected_slots);
+    read("format", batch_.format);
+    read("payload", batch_.payload);
+    read("group", batch_.group);
+    read("groups", batch_.groups);
+    readPoses();
+    read("channel_names", batch_.channel_names);
+    read("channels", batch_.channels);
+  }
+
+  GaussianBatch& batch() { return batch_; }
+
+ private:
+  template <typename T>
+  void read(const char* name, T& value) const {
+    if (py::hasattr(message_, name)) value = message_.attr(name).template cast<T>();
+  }
+  // Without a copy: of NumPy's arrays, and of what gives its memory to others.
+  template <typename T>
+  void read(const char* name, ArrayView<T>& view) {
+    if (!py::hasattr(message_, name)) return;
+    py::object values = message_.attr(name);
+    if (!py::isinstance<py::array>(values)) {
+      values = py::module_::import("numpy").attr("frombuffer")(values, py::dtype::of<T>());
+    }
+    const auto array = values.cast<Array<T>>();
+    view = array;
+    arrays_.push_back(array);
+  }
+  void readPoses() {
+    if (!py::hasattr(message_, "poses")) return;
+    for (const py::handle pose : message_.attr("poses")) {
+      const py::object q = pose.attr("orientation");
+      batch_.poses.push_back({pointOf(pose.attr("position")),
+                              {number(q, "x"), number(q, "y"), number(q, "z"), number(q, "w")}});
+    }
+  }
+  static double number(const py::object& of, const char* name) {
+    return of.attr(name).cast<double>();
+  }
+  static std::array<double, 3> pointOf(const py::object& point) {
+    return {number(point, "x"), number(point, "y"), number(point, "z")};
+  }
+
+  py::object message_;
+  GaussianBatch batch_;
+  std::vector<py::array> arrays_;
+};
+
+// A method `apply` that takes a GaussianArray. take: a function of the target and a batch.
 template <typename Target, typename... Bases, typename Take>
 void defineApply(py::class_<Target, Bases...>& type, Take take) {
   type.def(
       "apply",
-      [take](Target& target, std::uint8_t operation, std::uint32_t first_slot, std::uint32_t count,
-             const Array<std::uint32_t>& slots, std::uint8_t sh_degree, std::uint8_t model,
-             const std::array<double, 3>& origin, const Array<float>& positions,
-             const Array<float>& orientations, const Array<float>& scales,
-             const Array<float>& opacities, const Array<float>& sh, const std::string& map_id,
-             std::uint64_t revision, std::uint32_t expected_slots, const std::string& format,
-             const Array<std::uint8_t>& payload, Arrival arrival, std::uint32_t group,
-             const Array<std::uint32_t>& groups, const Array<double>& poses,
-             const std::vector<std::string>& channel_names, const Array<float>& channels) {
-        GaussianBatch batch;
-        batch.operation = operation;
-        batch.first_slot = first_slot;
-        batch.count = count;
-        batch.slots = slots;
-        batch.sh_degree = sh_degree;
-        batch.model = model;
-        batch.origin = origin;
-        batch.positions = positions;
-        batch.orientations = orientations;
-        batch.scales = scales;
-        batch.opacities = opacities;
-        batch.sh = sh;
-        batch.map_id = map_id;
-        batch.revision = revision;
-        batch.expected_slots = expected_slots;
-        batch.format = format;
-        batch.payload = payload;
-        batch.arrival = arrival;
-        batch.group = group;
-        batch.groups = groups;
-        batch.poses = posesOf(poses);
-        batch.channel_names = channel_names;
-        batch.channels = channels;
+      [take](Target& target, const py::object& batch, Arrival arrival) {
+        ReadBatch read(batch);
+        read.batch().arrival = arrival;
         BatchReport report;
         {
           const py::gil_scoped_release release;
-          report = take(target, batch);
+          report = take(target, read.batch());
         }
         return py::dict("missed"_a = report.missed, "dropped"_a = report.dropped);
       },
-      "operation"_a, "first_slot"_a, "count"_a, "slots"_a, "sh_degree"_a, "model"_a, "origin"_a,
-      "positions"_a, "orientations"_a, "scales"_a, "opacities"_a, "sh"_a, "map_id"_a, "revision"_a,
-      "expected_slots"_a = 0, "format"_a = "", "payload"_a = Array<std::uint8_t>(0),
-      "arrival"_a = Arrival::kHeard, "group"_a = 0, "groups"_a = Array<std::uint32_t>(0),
-      "poses"_a = Array<double>(0), "channel_names"_a = std::vector<std::string>(),
-      "channels"_a = Array<float>(0));
+      "batch"_a, "arrival"_a = Arrival::kHeard,
+      "Applies a rosplat_msgs/GaussianArray, or anything with its fields. Returns \"missed\", the\n"
+      "number of batches missed before it, and \"dropped\", that of its splats that were dropped.\n"
+      "Raises BatchError, naming the field, for a batch that contradicts itself.");
 }
 
 }  // namespace rosplat::python
