@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core import _core
+from rosplat_core import _core, harmonics
 from rosplat_core.cameras import Camera
 from rosplat_core.maps import REPLACE, UPSERT, batch_of, move_of
+from rosplat_core.models import Model
 from rosplat_core.splats import Splats, check_splats
+from rosplat_core.view import frame_at
 
 ChannelColours = _core.ChannelColours
 ClipBox = _core.ClipBox
@@ -73,6 +75,17 @@ class CpuRenderer(_core.CpuRenderer):
             raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
         colour: NDArray[np.float32] = self.draw(posed(camera))["colour"]
         return colour
+
+    def snapshot(self) -> tuple[NDArray[np.uint32], Splats]:
+        """The slots in use, (n,), and their splats as they are drawn, in the map's frame."""
+        arrays = self.splats()
+        slots, groups = arrays.pop("slots"), arrays.pop("groups")
+        for group in np.unique(groups):
+            turn = frame_at(*self.map.pose(int(group)))[:3, :3]
+            if arrays["sh"].shape[1] > 1 and not np.array_equal(turn, np.eye(3)):
+                of_group = groups == group
+                arrays["sh"][of_group] = harmonics.turned(arrays["sh"][of_group], turn)
+        return slots, Splats(**arrays, model=Model(self.map.model))
 
     def draw(self, *args: Any, **kwargs: Any) -> dict[str, Any]:
         """As _core.CpuRenderer.draw()."""

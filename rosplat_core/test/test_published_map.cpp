@@ -446,5 +446,30 @@ TEST(PublishedMap, AMapThatIsReplacedWhileItIsRepeatedEndsAsTheOther) {
   EXPECT_EQ(map.size(), 5u);
 }
 
+// A submap grows beyond its block into the next one, which another submap holds.
+TEST(PublishedMap, AppendsToFreeSlotsOfAGroupsBlocks) {
+  std::vector<Batch> sent;
+  PublishedMap map(
+      1 << 20, "none",
+      {[&](Batch&& batch) { sent.push_back(std::move(batch)); }, [](const std::string&) {}, [] {}});
+  Slots expected(1000);
+  std::iota(expected.begin(), expected.end(), 0);
+  EXPECT_EQ(map.append(splatsOf(1000)), expected);
+  EXPECT_EQ(map.append(splatsOf(10), 1),
+            Slots({1024, 1025, 1026, 1027, 1028, 1029, 1030, 1031, 1032, 1033}));
+  const Slots grown = map.append(splatsOf(100));  // 24 in its block, the rest in a new one
+  EXPECT_EQ(grown.front(), 1000u);
+  EXPECT_EQ(grown[23], 1023u);
+  EXPECT_EQ(grown[24], 2048u);
+  map.erase({5, 6, 1025});
+  EXPECT_EQ(map.append(splatsOf(2), 1), Slots({1025, 1034}));
+  EXPECT_EQ(map.append(splatsOf(2)), Slots({5, 6}));
+  EXPECT_EQ(map.append(splatsOf(0)), Slots());
+  map.erase(0, 2048);
+  EXPECT_EQ(map.append(splatsOf(1), 2), Slots({0}));  // a block that no splat uses is anybody's
+  EXPECT_EQ(sent.back().group, 2u);
+  EXPECT_THROW(map.append(splatsOf(1), 1u << 20), std::invalid_argument);
+}
+
 }  // namespace
 }  // namespace rosplat

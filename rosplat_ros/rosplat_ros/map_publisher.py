@@ -230,6 +230,18 @@ class MapPublisher:
         named = slots.start if isinstance(slots, range) else slots
         self._map.upsert(named, splats, group, when)
 
+    def append(
+        self, splats: Splats | PackedSplats, *, group: int = 0, stamp: Time | None = None
+    ) -> NDArray[np.uint32]:
+        """Writes splats to free slots, and returns the slots, (n,) ascending.
+
+        The publisher chooses slots of blocks that the group has, then of blocks that no splat uses.
+        Raises ValueError, and sends nothing, where the map has no room, or as upsert.
+        """
+        check_splats(splats)
+        when = _checked_stamp(stamp)
+        return self._map.append(splats, _whole("group", group, GaussianArray.MAX_GROUPS - 1), when)
+
     def delete(self, slots: range | ArrayLike, *, stamp: Time | None = None) -> None:
         """Empties slots. Raises ValueError if a slot is named twice or isn't below MAX_SLOTS."""
         when = _checked_stamp(stamp)

@@ -21,3 +21,8 @@ def as_array(typecode: str, values: NDArray[np.generic]) -> array[float]:
     result: array[float] = array(typecode)
     result.frombytes(np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)
     return result
+
+
+def plain_frame(frame_id: str) -> str:
+    """A frame's name as tf2 takes it: without the leading slash that ROS 1 wrote."""
+    return frame_id.removeprefix("/")

@@ -16,6 +16,7 @@ generate = partial(run_module, "generate", "rosplat_tools.generate")
 inspect = partial(run_module, "inspect", "rosplat_tools.inspect_scene")
 occupancy = partial(run_module, "occupancy", "rosplat_tools.obstacles.occupancy")
 ply_publisher = partial(run_module, "ply_publisher", "rosplat_tools.ply_publisher")
+share = partial(run_module, "share", "rosplat_tools.sharing.share")
 slam_emulator = partial(run_module, "slam_emulator", "rosplat_tools.emulation.slam_emulator")
 stream_publisher = partial(
     run_module, "stream_publisher", "rosplat_tools.streaming.stream_publisher"

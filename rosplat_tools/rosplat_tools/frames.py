@@ -16,6 +16,7 @@ from std_msgs.msg import Header
 
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
+from rosplat_ros.messages import plain_frame
 from rosplat_ros.poses import to_matrix, to_pose
 
 # Some wheels of PyPI lack these.
@@ -32,6 +33,7 @@ TF = QoSProfile(depth=100)  # of publishers, as tf2_ros has it
 
 LATEST = 0  # asks for the last pose; also the time of a pose that never changes [ns]
 KEEPS = 10.0  # how far back poses are kept [s]
+AHEAD = 60.0  # a stamp so far ahead of the clock is a mistake [s]
 
 
 def transform(header: Header, child: str, pose: Pose) -> TransformStamped:
@@ -66,6 +68,7 @@ class Frames:
         if tf2_ros is None:
             raise SceneError("tf2_ros is not installed")
         self._buffer = tf2_ros.Buffer(Duration(seconds=keeps))
+        self._node = node
         if node:
             self._listener = tf2_ros.TransformListener(self._buffer, node)
             # A buffer without a node doesn't see it, and refuses what is older than it keeps.
@@ -77,15 +80,39 @@ class Frames:
         fill(transform, "")
 
     def pose(self, frame: str, within: str, stamp: int = LATEST) -> tuple[int, NDArray[np.float64]]:
-        """Time [ns] and pose (4, 4) [m] of a frame in another one. Raises FrameError."""
+        """Time [ns] and pose (4, 4) [m] of a frame in another one. Raises FrameError.
+
+        A transform of the far future would have TF take all others for outdated: such a one is
+        named, and TF begins anew.
+        """
+        frame, within = plain_frame(frame), plain_frame(within)
         try:
             found = self._buffer.lookup_transform(within, frame, Time(nanoseconds=stamp))
         except tf2_ros.TransformException as error:
+            self._check_time(self._latest(frame, within), frame, within)
             raise FrameError(shown(error, 300)) from error
         moved, when = found.transform, Time.from_msg(found.header.stamp)
+        self._check_time(when.nanoseconds, frame, within)
         place = moved.translation
         try:
             pose = Pose(position=Point(x=place.x, y=place.y, z=place.z), orientation=moved.rotation)
             return when.nanoseconds, to_matrix(to_pose(pose))
         except ValueError as error:
             raise FrameError(f"'{shown(frame)}' in '{shown(within)}': {error}") from error
+
+    def _latest(self, frame: str, within: str) -> int:
+        try:
+            latest: int = self._buffer.get_latest_common_time(within, frame).nanoseconds
+        except tf2_ros.TransformException:
+            return LATEST
+        return latest
+
+    def _check_time(self, when: int, frame: str, within: str) -> None:
+        now = self._node.get_clock().now().nanoseconds if self._node else 0
+        ahead = 1e-9 * (when - now)
+        if now and ahead > AHEAD:
+            self._buffer.clear()
+            raise FrameError(
+                f"'{shown(frame)}' in '{shown(within)}': TF has a stamp {ahead:,.0f} s ahead of "
+                "the clock, which outdates all others; TF begins anew"
+            )

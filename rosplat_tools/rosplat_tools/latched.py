@@ -1,4 +1,4 @@
-"""Subscriptions that hear what was published once, before they began."""
+"""Subscriptions to somebody else's topic: the publishers decide the QoS."""
 
 from __future__ import annotations
 
@@ -18,10 +18,12 @@ EARLY = 8  # messages that are remembered until publishers are known
 
 
 class LatchedSubscription:
-    """Hears a topic, and what its first publishers keep for late subscribers if all of them do.
+    """Hears all publishers of a topic, and what its first publishers keep for late subscribers if
+    all of them do.
 
-    A transient local subscription doesn't hear a volatile publisher. So it becomes transient local
-    once publishers are known and all of them are, and volatile for good once another one comes.
+    A subscription hears only publishers that offer what it asks for. So it is reliable while all of
+    them are, and best effort else. It becomes transient local once publishers are known and all of
+    them are, and volatile for good once another one comes.
     """
 
     def __init__(
@@ -32,11 +34,12 @@ class LatchedSubscription:
         heard: Callable[[Any], None],
         profile: QoSProfile,
     ) -> None:
-        """profile: of a volatile subscription; parameters override it."""
+        """profile: of the subscription until publishers are known; parameters override it."""
         self._node, self._given, self._profile = node, (kind, topic), profile
         self._heard = heard
         self.topic = node.resolve_topic_name(topic)
         self._latched: bool | None = None  # no publisher is known yet
+        self._reliable: bool | None = None
         self._early: deque[Any] = deque(maxlen=EARLY)  # heard until then; some come again
         self._subscription = self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
@@ -44,9 +47,12 @@ class LatchedSubscription:
 
     def _subscribe(self) -> Any:
         adapted = copy(self._profile)
-        if self._latched:  # best effort hears nothing that was kept
+        if self._latched:
             adapted.durability = DurabilityPolicy.TRANSIENT_LOCAL
-            adapted.reliability = ReliabilityPolicy.RELIABLE
+        if self._reliable is not None:
+            adapted.reliability = (
+                ReliabilityPolicy.RELIABLE if self._reliable else ReliabilityPolicy.BEST_EFFORT
+            )
         return self._node.create_subscription(
             *self._given, self._hear, **overridable(self._profile, adapted)
         )
@@ -65,15 +71,20 @@ class LatchedSubscription:
             publisher.qos_profile
             for publisher in self._node.get_publishers_info_by_topic(self.topic)
         ]
-        latched = all(
-            qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-            and qos.reliability == ReliabilityPolicy.RELIABLE
-            for qos in publishers
-        )
-        if not publishers or self._latched is False:
+        if not publishers:
             return
-        changes = latched != bool(self._latched)
-        self._latched = latched
+        reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in publishers)
+        # Best effort hears nothing that was kept.
+        latched = reliable and all(
+            qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in publishers
+        )
+        if self._latched is False:
+            latched = False
+        asked = self._reliable
+        if asked is None:
+            asked = self._profile.reliability == ReliabilityPolicy.RELIABLE
+        changes = (latched, reliable) != (bool(self._latched), asked)
+        self._latched, self._reliable = latched, reliable
         if changes:
             self._node.destroy_subscription(self._subscription)
             self._subscription = self._subscribe()

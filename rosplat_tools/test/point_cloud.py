@@ -9,7 +9,7 @@ from rosplat_core.splats import Splats
 
 def cloud(splats: Splats, big_endian: bool = False, height: int = 1, gap: int = 0) -> PointCloud2:
     """The rows of a PLY as a cloud."""
-    rows = ply._rows(splats)
+    rows = ply.to_rows(splats)
     if big_endian:
         rows = rows.astype(rows.dtype.newbyteorder(">"))
     assert rows.dtype.names

@@ -11,6 +11,7 @@ from sensor_msgs.msg import CameraInfo
 from rosplat_testing import Listener
 from rosplat_tools.latched import WATCH_PERIOD, LatchedSubscription
 
+PLAIN = QoSProfile(depth=1)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -54,3 +55,20 @@ def test_nothing_is_heard_twice(node: Node, listener: Listener) -> None:
     until = time.monotonic() + 2 * WATCH_PERIOD
     listener.wait(lambda: time.monotonic() > until)
     assert (heard.count(1), heard[-1]) == (1, 2)
+
+
+def test_a_best_effort_publisher_is_heard_beside_a_reliable_one(
+    node: Node, listener: Listener
+) -> None:
+    heard: list[int] = []
+    LatchedSubscription(node, CameraInfo, "info", lambda info: heard.append(info.width), PLAIN)
+    publishers = [
+        node.create_publisher(CameraInfo, "info", qos) for qos in (qos_profile_sensor_data, 1)
+    ]
+
+    def both() -> bool:
+        for width, publisher in enumerate(publishers):
+            publisher.publish(CameraInfo(width=width))
+        return {*heard} == {0, 1}
+
+    listener.wait(both)

@@ -182,13 +182,13 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
     for name in splats.channels:
         if _has_meaning(name):
             raise SceneError(f"{path}: channel '{name}': a PLY has a property of that name")
-    layout = _rows(splats[:0]).dtype
+    layout = to_rows(splats[:0]).dtype
     stream.write(header({"vertex": (len(splats), layout)}, comments_of(splats)))
     for part in blocks(len(splats)):
-        stream.write(_rows(splats[part]).tobytes())
+        stream.write(to_rows(splats[part]).tobytes())
 
 
-def _rows(splats: Splats) -> NDArray[np.void]:
+def to_rows(splats: Splats) -> NDArray[np.void]:
     """The splats as a PLY holds them."""
     rest = [f"f_rest_{i}" for i in range(3 * (splats.sh.shape[1] - 1))]
     position_type = "<f8" if splats.origin.any() else "<f4"

@@ -67,6 +67,30 @@ std::size_t PublishedContent::splatBytes(int sh_degree, std::size_t channel_coun
 
 // --- Edits ---------------------------------------------------------------------------------------
 
+PublishedContent::Slots PublishedContent::freeSlots(std::size_t count, std::uint32_t group) const {
+  Slots slots;
+  static const std::bitset<kPageSlots> kNone;
+  const auto take = [&](std::uint32_t number, const std::bitset<kPageSlots>& used) {
+    for (std::uint32_t i = 0; i < kPageSlots && slots.size() < count; ++i) {
+      if (!used[i]) slots.push_back(number * kPageSlots + i);
+    }
+  };
+  for (const auto& [number, page] : pages_) {
+    if (page.group == group && page.used.any()) take(number, page.used);
+  }
+  for (std::uint32_t number = 0; number < kMaxSlots / kPageSlots && slots.size() < count;
+       ++number) {
+    const auto found = pages_.find(number);
+    if (found == pages_.end() || found->second.used.none()) take(number, kNone);
+  }
+  if (slots.size() < count) {
+    throw std::invalid_argument("splats: the map has no room for " + std::to_string(count) +
+                                " more of group " + std::to_string(group));
+  }
+  std::sort(slots.begin(), slots.end());
+  return slots;
+}
+
 PublishedContent::Plan PublishedContent::prepareWrite(const NamedSlots& slots,
                                                       const SplatsView& splats,
                                                       std::uint32_t group) {
@@ -92,7 +116,8 @@ PublishedContent::Plan PublishedContent::prepareWrite(const NamedSlots& slots,
                                 std::to_string(number * kPageSlots + kPageSlots - 1) +
                                 " hold splats of group " + std::to_string(found->second.group) +
                                 ", this batch is of group " + std::to_string(group) +
-                                ": delete them first");
+                                ": a block of " + std::to_string(kPageSlots) +
+                                " slots holds one group; append() finds free slots");
   }
   groups_[group];
   for (const auto& [number, count] : touched) {

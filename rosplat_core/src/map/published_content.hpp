@@ -62,6 +62,9 @@ class PublishedContent {
   // If a check throws std::invalid_argument, the map is unchanged; if std::bad_alloc, new pages
   // stay, but empty ones do no harm. revision: of the edit's last batch.
 
+  // The lowest free slots of a group's pages, then those of pages that no splat uses. Throws
+  // std::invalid_argument where the map has no room.
+  Slots freeSlots(std::size_t count, std::uint32_t group) const;
   Plan prepareWrite(const NamedSlots& slots, const SplatsView& splats, std::uint32_t group);
   // Writes the i-th splat to the i-th slot. Returns how many are invalid and left out.
   std::size_t write(const NamedSlots& slots, const SplatsView& splats, const Plan& plan,

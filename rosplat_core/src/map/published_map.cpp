@@ -198,6 +198,24 @@ void PublishedMap::upsert(const NamedSlots& slots, const SplatsView& splats, std
   }
 }
 
+PublishedMap::Slots PublishedMap::append(const Splats& splats, std::uint32_t group,
+                                         const When& stamp) {
+  return append(splats.view(), group, stamp);
+}
+
+PublishedMap::Slots PublishedMap::append(const SplatsView& splats, std::uint32_t group,
+                                         const When& stamp) {
+  checkGroup(group);
+  const Lock turn(turns_);  // no other edit comes between the choice and the writing
+  Slots slots;
+  {
+    const Lock lock(mutex_);
+    slots = map_->freeSlots(splats.arrays.count, group);
+  }
+  upsert(slots, splats, group, stamp);
+  return slots;
+}
+
 void PublishedMap::erase(const Slots& slots, const When& stamp) {
   erase(NamedSlots::checked(slots), stamp);
 }

@@ -216,6 +216,19 @@ void definePublishing(py::module_& module) {
           },
           "slots"_a, "splats"_a, "group"_a, "stamp"_a)
       .def(
+          "append",
+          [](PublishedMap& map, const py::object& splats, std::uint32_t group, const Time& stamp) {
+            const HeldSplats held(splats);
+            PublishedMap::Slots slots;
+            {
+              const py::gil_scoped_release free;
+              slots = map.append(held.view, group, whenOf(stamp));
+            }
+            const auto n = static_cast<py::ssize_t>(slots.size());
+            return toArray(std::move(slots), {n});
+          },
+          "splats"_a, "group"_a, "stamp"_a)
+      .def(
           "erase",
           [](PublishedMap& map, const Array<std::uint32_t>& slots, const Time& stamp) {
             const auto list = listOf(slots);

@@ -153,10 +153,10 @@ Array<std::uint32_t> pickOnCpu(CpuRenderer& renderer, const SplatCamera& camera)
   return toArray(std::move(picked), {camera.height, camera.width});
 }
 
-// The splats of a map as they are drawn: slots, and arrays by splat, in the map's frame; of the
-// harmonics the first coefficient alone.
+// The splats of a map as they are drawn: slots, groups, and arrays by splat, in the map's frame but
+// for the harmonics, which are in the group's.
 py::dict splatsOf(const CpuRenderer& renderer) {
-  std::vector<std::uint32_t> slots;
+  std::vector<std::uint32_t> slots, groups;
   std::vector<double> positions;
   std::vector<float> orientations, scales, opacities, sh;
   for (const SlotPage& page : renderer.slots.pages()) {
@@ -165,20 +165,23 @@ py::dict splatsOf(const CpuRenderer& renderer) {
     for (const SplatValues& splat : renderer.slots.read(of_page)) {
       if (!(splat.opacity > 0)) continue;
       slots.push_back(splat.slot);
+      groups.push_back(splat.group);
       positions.insert(positions.end(), splat.position.begin(), splat.position.end());
       orientations.insert(orientations.end(), splat.orientation.begin(), splat.orientation.end());
       scales.insert(scales.end(), splat.scale.begin(), splat.scale.end());
       opacities.push_back(splat.opacity);
-      sh.insert(sh.end(), splat.sh.begin(), splat.sh.begin() + 3);
+      sh.insert(sh.end(), splat.sh.begin(), splat.sh.end());
     }
   }
   const auto n = static_cast<py::ssize_t>(slots.size());
+  const py::ssize_t degree = renderer.slots.shDegree();
   return py::dict("slots"_a = toArray(std::move(slots), {n}),
+                  "groups"_a = toArray(std::move(groups), {n}),
                   "positions"_a = toArray(std::move(positions), {n, 3}),
                   "orientations"_a = toArray(std::move(orientations), {n, 4}),
                   "scales"_a = toArray(std::move(scales), {n, 3}),
                   "opacities"_a = toArray(std::move(opacities), {n}),
-                  "sh"_a = toArray(std::move(sh), {n, 1, 3}));
+                  "sh"_a = toArray(std::move(sh), {n, (degree + 1) * (degree + 1), 3}));
 }
 
 // The nodes of a level of a group, by ascending cells: the width and corners of the cells [m], and

@@ -8,6 +8,7 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
@@ -25,7 +26,8 @@ def declare(
 ) -> Any:
     """Declares a read-only parameter, a number from low to high if given; returns its value.
 
-    Raises SceneError for no value, one of another type or one out of range.
+    A whole number is taken for a float. Raises SceneError for no value, one of another type or one
+    out of range.
     """
     descriptor = ParameterDescriptor(description=description, read_only=True)
     if low is not None and high is not None:
@@ -33,6 +35,9 @@ def declare(
             descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
         else:
             descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    given = node._parameter_overrides  # no public function has them
+    if isinstance(default, float) and name in given and type(given[name].value) is int:
+        given[name] = Parameter(name, value=float(given[name].value))  # `-p rate:=10`
     try:
         value = node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:

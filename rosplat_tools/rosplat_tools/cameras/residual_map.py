@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
 
-from rosplat_core.models import Model
 from rosplat_core.rendering import Contributions, posed
-from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_ros.batches import slots_of
 from rosplat_ros.map_publisher import MapPublisher
@@ -85,13 +83,12 @@ class ResidualMap:
         if not self._pending or time.monotonic() < self._due:
             return
         self._pending, self._due = False, time.monotonic() + PERIOD
-        drawn = self._map.renderer.splats()
-        slots: NDArray[np.uint32] = drawn.pop("slots")
+        slots, drawn = self._map.renderer.snapshot()
         capacity = self._map.books.capacity
         errors, weights = grown(self._sums, capacity)[:, slots]
         with np.errstate(all="ignore"):
             values = np.where(weights >= LEAST_WEIGHT, errors / weights, np.float32(np.nan))
-        splats = Splats(**drawn, model=Model(self._map.books.model), channels={CHANNEL: values})
+        splats = replace(drawn.with_sh_degree(0), channels={CHANNEL: values})
         self._publisher.frame_id = self._map.frame_id
         if self._slots is None:
             self._publisher.replace(replace(splats[:0], channels={}), expected_slots=len(slots))

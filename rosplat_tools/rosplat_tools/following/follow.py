@@ -2,31 +2,39 @@
 
 Parameter `path`: a scene file, or a pattern, whose newest match is read. A file that is still being
 written is read when it is whole.
-Topic `cloud`: sensor_msgs/PointCloud2 with a PLY's properties for fields. A message is a whole map.
-Topic `splat_array`: gsplat_msgs/SplatArray, where that package is installed.
+Topics, each where its message's package is installed:
+  cloud                       sensor_msgs/PointCloud2, with a PLY's properties for fields
+  gaussian_model              gaussian_interface/GaussianArray
+  gaussian_splats             gaussian_splatting_msgs/GaussianSplats
+  splat_array                 gsplat_msgs/SplatArray
+  gaussian_splat_tile_chunks  gsplat_msgs/SplatTileChunk
+  gaussian_splat_blob_chunks  gsplat_msgs/SplatBlobChunk
 """
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import PointCloud2
 
 from rosplat_core.log_text import shown
 from rosplat_core.scenes import load_scene
 from rosplat_core.splats import SceneError, Splats
 from rosplat_ros.map_publisher import MapPublisher
+from rosplat_ros.messages import plain_frame
 from rosplat_ros.program.parameters import declare, declare_compression, declare_path
 from rosplat_ros.program.running import Cancelled, run_node
-from rosplat_tools.following.foreign_messages import from_point_cloud, from_splat_array
 from rosplat_tools.following.watched_file import WatchedFile
 from rosplat_tools.following.whole_maps import WholeMaps
+from rosplat_tools.foreign import TYPES, Foreign, Reader, foreign, message_class
 from rosplat_tools.latched import LatchedSubscription
 
-MAPS = QoSProfile(depth=1)  # of others' messages: only the newest counts
+SHOWING = 0.1  # least time between two looks for maps to be shown [s]
+REST = 2.0  # a map that takes a second to be shown is shown again so many seconds later
+WATCH = 5.0  # time between two looks for topics whose package isn't installed [s]
 
 
 class Follow(Node):
@@ -39,27 +47,55 @@ class Follow(Node):
         )
         period = declare(self, "period", 0.5, "Time between two looks at the file. [s]", 0.05, 60.0)
         frame_id = declare(self, "frame_id", "", "Frame of the map; empty: the message's, or map.")
-        self._frame_id = frame_id
+        self._frame_id = plain_frame(frame_id)
         self._publisher = MapPublisher(
-            self, frame_id=frame_id or "map", compression=declare_compression(self)
+            self, frame_id=self._frame_id or "map", compression=declare_compression(self)
         )
         self._maps = WholeMaps(self._publisher)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
         if path:
             self._file = WatchedFile(path)
-            steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-            self.create_timer(period, self._look, clock=steady)
+            self.create_timer(period, self._look, clock=self._steady)
             doing = "following" if self._file.is_there() else "waiting for"
             self.get_logger().info(f"{doing} {shown(path)}")
         else:
             cloud = self.resolve_topic_name("cloud")
-            self.get_logger().info(f"no path is given: waiting for {cloud}")
-        LatchedSubscription(self, PointCloud2, "cloud", self._on_cloud, MAPS)
-        try:
-            from gsplat_msgs.msg import SplatArray
-        except ImportError:
-            pass
-        else:
-            LatchedSubscription(self, SplatArray, "splat_array", self._on_array, MAPS)
+            self.get_logger().info(f"no path is given: waiting for {cloud}, or another topic")
+        self._heard: dict[str, Reader] = {}  # by topic, whose map is to be shown
+        self._rests_until = 0.0  # of time.monotonic() [s]
+        self._missing = [kind for kind in map(foreign, TYPES) if not self._subscribe(kind)]
+        self.create_timer(SHOWING, self._show_heard, clock=self._steady)
+        self._watch = self.create_timer(WATCH, self._name_missing, clock=self._steady)
+
+    def _subscribe(self, kind: Foreign) -> bool:
+        """Hears a foreign type's topic, if its package is installed."""
+        message = message_class(kind.TYPE)
+        if message is None:
+            return False
+        name = self.resolve_topic_name(kind.TOPIC)
+        reader = kind.Reader(name, self.get_logger().warning)
+
+        def hear(message: Any) -> None:
+            try:
+                if reader.take(message):
+                    self._heard[name] = reader
+            except SceneError as error:
+                self._refuse(error)
+
+        LatchedSubscription(self, message, kind.TOPIC, hear, QoSProfile(depth=kind.DEPTH))
+        return True
+
+    def _name_missing(self) -> None:
+        """Says once which topics are published whose messages can't be read here."""
+        for kind in list(self._missing):
+            topic = self.resolve_topic_name(kind.TOPIC)
+            for publisher in self.get_publishers_info_by_topic(topic):
+                if publisher.topic_type == kind.TYPE and kind in self._missing:
+                    self._missing.remove(kind)
+                    package = kind.TYPE.partition("/")[0]
+                    self.get_logger().warning(
+                        f"{topic}: not heard: {package}, which {kind.TYPE} is of, isn't installed"
+                    )
 
     def _look(self) -> None:
         version = self._file.poll()
@@ -77,19 +113,18 @@ class Follow(Node):
         if not self.context.ok():
             raise Cancelled
 
-    def _on_cloud(self, message: PointCloud2) -> None:
-        self._take(message.header.frame_id, from_point_cloud, message, "cloud")
-
-    def _on_array(self, message: Any) -> None:
-        frame = message.splats[0].pose.header.frame_id if message.splats else ""
-        self._take(frame, from_splat_array, message, "splat_array")
-
-    def _take(self, frame_id: str, read: Any, message: Any, topic: str) -> None:
-        try:
-            name = self.resolve_topic_name(topic)
-            self._show(read(message, name, self.get_logger().warning), frame_id, name)
-        except SceneError as error:
-            self._refuse(error)
+    def _show_heard(self) -> None:
+        """Shows maps that messages made. One that many messages make is not shown after each."""
+        began = time.monotonic()
+        if not self._heard or began < self._rests_until:
+            return
+        heard, self._heard = self._heard, {}
+        for name, reader in heard.items():
+            try:
+                self._show(reader.splats(), reader.frame_id, name)
+            except (ValueError, MemoryError) as error:
+                self._refuse(f"{name}: {error or 'too large for this machine'}")
+        self._rests_until = time.monotonic() + REST * (time.monotonic() - began)
 
     def _show(self, splats: Splats, frame_id: str, source: str) -> None:
         before = self._publisher.frame_id

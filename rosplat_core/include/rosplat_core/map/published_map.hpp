@@ -133,6 +133,10 @@ class PublishedMap {
   void upsert(const Slots& slots, const SplatsView& splats, std::uint32_t group, const When& stamp);
   void upsert(std::uint32_t first_slot, const SplatsView& splats, std::uint32_t group,
               const When& stamp);
+  // Writes splats to free slots of a group's blocks, or of blocks that no splat uses; returns the
+  // slots, ascending. Throws std::invalid_argument where the map has no room.
+  Slots append(const Splats& splats, std::uint32_t group = 0, const When& stamp = std::nullopt);
+  Slots append(const SplatsView& splats, std::uint32_t group, const When& stamp);
   // Empties slots.
   void erase(const Slots& slots, const When& stamp = std::nullopt);
   void erase(std::uint32_t first_slot, std::uint32_t count, const When& stamp = std::nullopt);

@@ -1,0 +1,68 @@
+"""Maps in the messages of other packages: a module for each type, which reads and writes it.
+
+A module has
+- TYPE, TOPIC and DEPTH: the message, and how its own programs publish it;
+- Reader(name, warn): take(message) keeps what a message says, and tells whether the map that
+  splats() makes of all messages so far is one to be shown; frame_id is the map's, empty if unknown;
+- messages(kind, splats, header): the messages of a whole map; kind makes an empty one.
+
+A type whose package isn't installed is neither heard nor sent, and said so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from typing import Any, Protocol
+
+from std_msgs.msg import Header
+
+from rosplat_core.formats.decoded import Warn
+from rosplat_core.splats import Splats
+
+
+class Reader(Protocol):
+    """Makes a map of messages. Both methods raise SceneError, naming topic and field."""
+
+    frame_id: str
+
+    def take(self, message: Any) -> bool:
+        """Keeps what a message says. Whether there is a map to be shown now."""
+
+    def splats(self) -> Splats:
+        """The map as it is."""
+
+
+class Foreign(Protocol):
+    """A module of this package."""
+
+    TYPE: str
+    TOPIC: str
+    DEPTH: int
+    Reader: Callable[[str, Warn], Reader]
+    messages: Callable[[type, Splats, Header], Iterator[Any]]
+
+
+TYPES = (
+    "point_cloud",
+    "gaussian_array",
+    "gaussian_splats",
+    "splat_array",
+    "splat_tiles",
+    "splat_blob",
+)
+
+
+def foreign(name: str) -> Foreign:
+    """The module for one of TYPES."""
+    module: Any = import_module(f"{__name__}.{name}")
+    return module
+
+
+def message_class(type_name: str) -> Any:
+    """The Python class of a message, "package/msg/Name"; None where its package isn't installed."""
+    package, _, name = type_name.split("/")
+    try:
+        return getattr(import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError):  # an older release of the package lacks some
+        return None

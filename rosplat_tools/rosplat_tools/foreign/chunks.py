@@ -1,0 +1,48 @@
+"""Joins what gsplat_msgs sends in chunks."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Any
+
+from rosplat_core.splats import SceneError
+
+MOST = 4  # payloads that may be incomplete at once: of an author that stopped, say
+
+
+class Chunks:
+    """Payloads on their way, each known by a key. Memory is what has come, no more."""
+
+    def __init__(self, name: str) -> None:
+        """name: of the topic, for errors."""
+        self._name = name
+        self._coming: dict[Hashable, dict[int, bytes]] = {}
+
+    def take(self, key: Hashable, message: Any, most: int = MOST) -> bytes | None:
+        """The payload of `key` once all of its chunks are there. Raises SceneError."""
+        index, count = message.chunk_index, message.chunk_count
+        if index >= count:
+            raise SceneError(f"{self._name}: chunk_index: {index} of a chunk_count of {count}")
+        if message.compression not in ("", "none"):
+            raise SceneError(f"{self._name}: compression: '{message.compression}' is not known")
+        parts = self._coming.setdefault(key, {})
+        parts[index] = bytes(message.data)
+        if len(parts) < count:
+            while len(self._coming) > most:
+                del self._coming[next(iter(self._coming))]
+            return None
+        del self._coming[key]
+        payload = b"".join(parts[i] for i in sorted(parts))
+        if message.uncompressed_size not in (0, len(payload)):
+            raise SceneError(
+                f"{self._name}: uncompressed_size: {message.uncompressed_size}, and "
+                f"{len(payload)} bytes came"
+            )
+        return payload
+
+    def incomplete(self, belongs: Any) -> bool:
+        """Whether a payload whose key belongs(key) names lacks a chunk. Forgets those payloads."""
+        lacking = [key for key in self._coming if belongs(key)]
+        for key in lacking:
+            del self._coming[key]
+        return bool(lacking)

@@ -1,0 +1,98 @@
+"""gaussian_interface/GaussianArray, of shadygm/ROSplat and Photo-SLAM-ROS: a message a splat.
+
+Arrays add up: each adds its splats to the map, unless its `refresh` begins the map anew. Scales are
+linear, quaternions have w first, opacities have 8 bits. No message names a frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from std_msgs.msg import Header
+
+from rosplat_core.formats.decoded import Columns, IntoSplats, Warn
+from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, concatenate, sh_coefficients
+from rosplat_tools.foreign import message_class
+
+TYPE = "gaussian_interface/msg/GaussianArray"
+TOPIC = "gaussian_model"
+DEPTH = 1000  # a map is many messages
+
+AT_A_TIME = 4000  # splats in a message, as its authors send them
+
+_DEGREES = {3 * sh_coefficients(degree): degree for degree in range(MAX_SH_DEGREE + 1)}
+
+
+class Reader:
+    """All splats since the map began."""
+
+    def __init__(self, name: str, warn: Warn) -> None:
+        self.frame_id = ""
+        self._name, self._warn = name, warn
+        self._parts: list[Splats] = []
+
+    def take(self, message: Any) -> bool:
+        """Raises SceneError for an array that contradicts itself; nothing of it is added."""
+        part = _splats(message, self._name, self._warn)
+        if getattr(message, "refresh", False):  # older definitions lack it
+            self._parts.clear()
+        self._parts.append(part)
+        return True
+
+    def splats(self) -> Splats:
+        """The map as it is."""
+        self._parts[:] = [concatenate(self._parts)]
+        return self._parts[0]
+
+
+def messages(kind: Any, splats: Splats, header: Header) -> Iterator[Any]:
+    """Arrays of AT_A_TIME splats, the first of which begins the map anew."""
+    splat_kind = message_class("gaussian_interface/msg/SingleGaussian")
+    for first in range(0, max(len(splats), 1), AT_A_TIME):
+        part = splats[first : first + AT_A_TIME]
+        rows = zip(
+            (part.positions + part.origin).astype(np.float32),
+            np.roll(part.orientations, 1, axis=1),
+            part.scales,
+            np.rint(255 * np.clip(part.opacities, 0, 1)).astype(int).tolist(),
+            part.sh.reshape(len(part), 3 * part.sh.shape[1]),
+            strict=True,
+        )
+        array = kind()
+        array.refresh = first == 0
+        array.gaussians = [
+            splat_kind(
+                xyz=xyz, rotation=rotation, scale=scale, opacity=opacity,
+                spherical_harmonics=sh.tolist(),
+            )
+            for xyz, rotation, scale, opacity, sh in rows
+        ]  # fmt: skip
+        yield array
+
+
+def _splats(message: Any, name: str, warn: Warn) -> Splats:
+    given = message.gaussians
+    count = len(given[0].spherical_harmonics) if len(given) else 3
+    if count not in _DEGREES:
+        known = ", ".join(map(str, _DEGREES))
+        raise SceneError(
+            f"{name}: gaussians[0].spherical_harmonics: {count} numbers, known are {known}"
+        )
+    for i, splat in enumerate(given):
+        if (have := len(splat.spherical_harmonics)) != count:
+            raise SceneError(
+                f"{name}: gaussians[{i}].spherical_harmonics: {have} numbers, expected {count}"
+            )
+    columns = Columns(
+        np.array([splat.xyz for splat in given], np.float64).reshape(-1, 3),
+        np.roll(np.array([splat.rotation for splat in given], np.float32).reshape(-1, 4), -1, 1),
+        np.array([splat.scale for splat in given], np.float32).reshape(-1, 3),
+        np.array([splat.opacity for splat in given], np.float32) / np.float32(255),
+        np.array([splat.spherical_harmonics for splat in given], np.float32).reshape(
+            -1, count // 3, 3
+        ),
+    )
+    return IntoSplats().make(Path(name), warn, columns)

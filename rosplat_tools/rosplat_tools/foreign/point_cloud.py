@@ -1,0 +1,132 @@
+"""sensor_msgs/PointCloud2 with a PLY's properties for fields. A message is a whole map.
+
+Fields are called, and mean, what a PLY's properties do: x y z, f_dc_*, opacity as logit, scale_* as
+logarithm, rot_* with w first, and f_rest_* where there are any; red green blue will do for f_dc_*.
+A field of several numbers stands for as many fields: `rot` of 4 is rot_0 to rot_3, `position` of 3
+is x y z. Teleoperation in Unity writes rot_w rot_x rot_y rot_z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Header
+
+from rosplat_core.formats import ply
+from rosplat_core.formats.decoded import IntoSplats, Warn
+from rosplat_core.log_text import shown
+from rosplat_core.splats import SceneError, Splats
+from rosplat_ros.messages import as_array, plain_frame
+
+_TYPES = {
+    PointField.INT8: "i1",
+    PointField.UINT8: "u1",
+    PointField.INT16: "i2",
+    PointField.UINT16: "u2",
+    PointField.INT32: "i4",
+    PointField.UINT32: "u4",
+    PointField.FLOAT32: "f4",
+    PointField.FLOAT64: "f8",
+}
+
+
+TYPE = "sensor_msgs/msg/PointCloud2"
+TOPIC = "cloud"
+DEPTH = 1
+
+# Names in place of a PLY's.
+_SAME = {
+    **{f"position_{i}": axis for i, axis in enumerate("xyz")},
+    **{f"xyz_{i}": axis for i, axis in enumerate("xyz")},
+    **{f"rot_{axis}": f"rot_{i}" for i, axis in enumerate("wxyz")},
+    **{f"rotation_{i}": f"rot_{i}" for i in range(4)},
+    **{f"scale_{axis}": f"scale_{i}" for i, axis in enumerate("xyz")},
+    "position_x": "x",
+    "position_y": "y",
+    "position_z": "z",
+}
+
+
+class Reader:
+    """The map of the last cloud."""
+
+    def __init__(self, name: str, warn: Warn) -> None:
+        self.frame_id = ""
+        self._name, self._warn = name, warn
+
+    def take(self, message: PointCloud2) -> bool:
+        """Raises SceneError for a cloud without the fields, or one that contradicts itself."""
+        rows = _rows(message, self._name)
+        path, into = Path(self._name), IntoSplats()
+        self._splats = ply.from_rows(path, rows, lambda _: None, self._warn, into)
+        self.frame_id = plain_frame(message.header.frame_id)
+        return True
+
+    def splats(self) -> Splats:
+        """The cloud's splats."""
+        return self._splats
+
+
+def messages(kind: type[PointCloud2], splats: Splats, header: Header) -> Iterator[PointCloud2]:
+    """One cloud."""
+    rows = ply.to_rows(splats)
+    layout = rows.dtype.fields or {}
+    numbers = {np.dtype(code): number for number, code in _TYPES.items()}
+    yield kind(
+        header=header,
+        height=1,
+        width=len(rows),
+        fields=[
+            PointField(name=name, offset=place[1], datatype=numbers[place[0]], count=1)
+            for name, place in layout.items()
+        ],
+        point_step=rows.dtype.itemsize,
+        row_step=rows.nbytes,
+        data=as_array("B", rows),
+        is_dense=True,
+    )
+
+
+def _rows(message: PointCloud2, name: str) -> NDArray[np.void]:
+    """A cloud's points as a structured array, a copy only if the rows are padded."""
+    step, width, height = message.point_step, message.width, message.height
+    order = ">" if message.is_bigendian else "<"
+    names, formats, offsets = [], [], []
+    for field in message.fields:
+        if field.datatype not in _TYPES:
+            continue
+        kind = np.dtype(order + _TYPES[field.datatype])
+        count = max(field.count, 1)  # some drivers leave it at 0
+        end = field.offset + count * kind.itemsize
+        if end > step:
+            several = f" of {count} numbers" if count > 1 else ""
+            raise SceneError(
+                f"{name}: point_step: {step} bytes, field {shown(field.name, 40)}{several} ends "
+                f"after {end}"
+            )
+        for i in range(count):
+            own = f"{field.name}_{i}" if count > 1 else field.name
+            names.append(_SAME.get(own, own))
+            formats.append(kind)
+            offsets.append(field.offset + i * kind.itemsize)
+    try:
+        layout = np.dtype(
+            {"names": names, "formats": formats, "offsets": offsets, "itemsize": step}
+        )
+    except ValueError as error:
+        raise SceneError(f"{name}: point_step: {step} bytes: {error}") from error
+    if width * step > message.row_step and height > 1:
+        raise SceneError(
+            f"{name}: row_step: {message.row_step}, for {width} points of {step} bytes"
+        )
+    row = message.row_step if height > 1 else width * step
+    if height * row > len(message.data):
+        raise SceneError(f"{name}: data: {len(message.data)} bytes, expected {height * row}")
+    if step == 0 or width * height == 0:
+        return np.zeros(0, layout)
+    data = np.frombuffer(message.data, np.uint8)[: height * row].reshape(height, row)
+    return np.ascontiguousarray(data[:, : width * step]).reshape(-1).view(layout)

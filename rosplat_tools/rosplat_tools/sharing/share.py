@@ -1,0 +1,99 @@
+"""Publishes the map of `gaussians` for the programs of others, in their messages, or in Rerun.
+
+Parameter `as`: point_cloud, gaussian_array, gaussian_splats, splat_array, splat_tiles, splat_blob,
+or rerun. A type's topic is the one that its own programs use; remapping gives it another name. A
+map that changes is published again, whole.
+"""
+
+from __future__ import annotations
+
+import time
+from threading import Event
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Header
+
+from rosplat_core.log_text import shown
+from rosplat_core.rendering import CpuRenderer
+from rosplat_core.splats import SceneError
+from rosplat_ros.program.parameters import declare
+from rosplat_ros.program.running import run_node
+from rosplat_tools.foreign import TYPES, foreign, message_class
+from rosplat_tools.map_subscriber import MapSubscriber
+from rosplat_tools.sharing.rerun_log import RerunLog
+
+RERUN = "rerun"
+
+
+class Share(Node):
+    """Hears `gaussians`, and publishes it as another type."""
+
+    def __init__(self) -> None:
+        super().__init__("share")
+        known = ", ".join((*TYPES, RERUN))
+        form = declare(self, "as", "point_cloud", f"The type: {known}.")
+        self._period = declare(
+            self, "period", 1.0, "Least time between two publications. [s]", 0.05, 3600.0
+        )
+        address = declare(
+            self, "rerun", "", "Address of a Rerun viewer, rerun+http://...; empty: starts one."
+        )
+        if form == RERUN:
+            self._log = RerunLog(address)
+            self._publisher = None
+        elif form in TYPES:
+            self._kind = foreign(form)
+            self._message = message_class(self._kind.TYPE)
+            if self._message is None:
+                package = self._kind.TYPE.partition("/")[0]
+                raise SceneError(f"as: {form} is of {package}, which isn't installed here")
+            kept = DurabilityPolicy.TRANSIENT_LOCAL
+            self._publisher = self.create_publisher(
+                self._message, self._kind.TOPIC, QoSProfile(depth=self._kind.DEPTH, durability=kept)
+            )
+        else:
+            raise SceneError(f"as: expected one of {known}, got '{shown(form, 40)}'")
+        self._came = Event()
+        self._renderer = CpuRenderer()
+        self._map = MapSubscriber(self, self._renderer, self._came.set)
+
+    def work(self) -> None:
+        """Publishes whenever the map has changed and is whole, until ROS ends."""
+        shared = 0  # edits of the map that was published last
+        while self.context.ok():
+            self._came.wait(0.1)
+            self._came.clear()
+            self._map.take()
+            if self._map.edits != shared and not self._map.problem():
+                shared = self._map.edits
+                self._publish()
+                self._wait()
+
+    def _wait(self) -> None:
+        end = time.monotonic() + self._period
+        while self.context.ok() and (left := end - time.monotonic()) > 0:
+            time.sleep(min(left, 0.1))
+
+    def _publish(self) -> None:
+        _, splats = self._renderer.snapshot()
+        header: Header = self._map.header
+        if self._publisher is None:
+            self._log.show(splats, header)
+            where = RERUN
+        else:
+            messages: Any = self._kind.messages(self._message, splats, header)
+            for message in messages:
+                self._publisher.publish(message)
+            where = self._publisher.topic_name
+        self.get_logger().info(f"{shown(where)}: {len(splats):,} splats")
+
+
+def main() -> None:
+    """Runs the node until it is told to end."""
+    run_node("share", Share, Share.work)
+
+
+if __name__ == "__main__":
+    main()
