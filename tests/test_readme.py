@@ -108,6 +108,73 @@ def test_python_publishes_a_map() -> None:
     assert run.stdout == "2000 4071 label confidence\n"
 
 
+# A room filmed with depths, heard by the guide's node; then it is moved by a loop closure.
+FILMED = """
+from rosplat_core import CpuRenderer, generate
+from rosplat_core.rendering import posed, psnr_of
+from rosplat_lab.bench.scenes import room
+from rosplat_ros.images import to_bytes, to_image
+from rosplat_ros.poses import to_pose
+
+rclpy.init()
+mapper, film = Mapper(), rclpy.create_node("film")
+scene = generate(60_000, scene="rooms")
+renderer, cameras = CpuRenderer(scene), room(scene, 160, 120, 60)[::5]
+publishers = {name: film.create_publisher(kind, name, 30) for name, kind in TOPICS.items()}
+executor = rclpy.executors.SingleThreadedExecutor()
+executor.add_node(mapper), executor.add_node(film)
+pictures, added, add = [], [], mapper.add
+mapper.add = lambda *frame: (added.append(frame[-1]), add(*frame))
+for second, camera in enumerate(cameras, 1):
+    drawn = renderer.draw(posed(camera), mean_depth=True)
+    pictures.append(np.clip(drawn["colour"][..., :3], 0, 1))
+    k = [camera.fx, 0.0, camera.cx - 0.5, 0.0, camera.fy, camera.cy - 0.5, 0.0, 0.0, 1.0]
+    messages = (
+        to_image(to_bytes(pictures[-1]), "rgb8"),
+        CameraInfo(width=160, height=120, k=k),
+        to_image(np.ascontiguousarray(drawn["depth"][..., 0]), "32FC1"),
+        PoseStamped(pose=to_pose(camera.camera_to_world)),
+    )
+    while not any(np.allclose(pose, camera.camera_to_world) for pose in added):
+        for publisher, message in zip(publishers.values(), messages, strict=True):
+            message.header.stamp.sec = second
+            publisher.publish(message)
+        executor.spin_once(0.1)
+
+def psnr(moved):
+    taken = CpuRenderer(mapper.map.snapshot()[1])
+    errors = []
+    for camera, picture in zip(cameras, pictures, strict=True):
+        pose = np.linalg.inv(moved @ camera.camera_to_world)
+        drawn = taken.render(dataclasses.replace(camera, world_to_camera=pose))
+        shown = drawn[..., 3] > 0.5
+        errors.append(np.mean((np.clip(drawn[..., :3], 0, 1) - picture)[shown] ** 2))
+        assert shown.mean() > 0.5
+    return psnr_of(float(np.mean(errors)))
+
+moved = np.eye(4)
+moved[:3, 3] = 1, 2, 3
+before = psnr(np.eye(4))
+mapper.close_loop([moved @ pose for pose in mapper.keyframes])
+print(len(mapper.keyframes), before, psnr(moved))
+"""
+
+
+def test_a_sensor_makes_a_live_map() -> None:
+    (block,) = blocks_of(GUIDES / "sensor.md", "python")
+    node, main = block.split("if __name__")
+    assert "rclpy.spin(Mapper())" in main
+    assert len(node[node.index("def splats_of") :].splitlines()) <= 62
+    run = subprocess.run(
+        [sys.executable, "-c", "import dataclasses\n" + node + FILMED],
+        capture_output=True, text=True, timeout=PATIENCE, check=False,
+    )  # fmt: skip
+    assert run.stderr == ""
+    keyframes, before, after = (float(value) for value in run.stdout.split())
+    assert 1 < keyframes < 12, run.stdout
+    assert before > 22 and abs(after - before) < 0.1
+
+
 def test_python_draws_without_ros(tmp_path: Path) -> None:
     blocks = [block for block in blocks_of(README, "python") if WITHOUT_ROS in block]
     blocks += blocks_of(GUIDES / "draw-without-ros.md", "python")
