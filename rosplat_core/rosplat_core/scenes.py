@@ -37,14 +37,6 @@ def check_scene(name: str) -> None:
         formats.format_of(name)
 
 
-def vertical(name: str) -> tuple[float, float, float] | None:
-    """The unit vector that points up in a scene's coordinates; None if its format doesn't say.
-
-    Raises SceneError for a file that isn't there, or is no scene.
-    """
-    return (0.0, 0.0, 1.0) if is_generated(name) else formats.axes(name).up
-
-
 def load_scene(name: str, progress: Progress, warn: Warn) -> Splats:
     """Reads a scene to be shown; as read_scene, but raises SceneError for one without a splat."""
     return load_scene_into(IntoSplats(), name, progress, warn)

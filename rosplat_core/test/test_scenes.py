@@ -74,10 +74,10 @@ def test_up_follows_the_format_where_it_has_one(tmp_path: Path) -> None:
         (".splat", None),
     ):
         formats.save(tmp_path / f"a{ending}", replace(generate(3), up=None))
-        assert scenes.vertical(str(tmp_path / f"a{ending}")) == up
-    assert scenes.vertical("procedural:3") == scenes.vertical("rooms:3") == (0, 0, 1)
+        assert load(str(tmp_path / f"a{ending}")).up == up
+    assert load("procedural:3").up == load("rooms:3").up == (0, 0, 1)
     with pytest.raises(SceneError, match="No such file"):
-        scenes.vertical(str(tmp_path / "none.spz"))
+        formats.axes(str(tmp_path / "none.spz"))
 
 
 def test_too_little_memory_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

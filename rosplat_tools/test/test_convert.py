@@ -10,7 +10,6 @@ import pytest
 
 from rosplat_core.formats import load, save
 from rosplat_core.generated import generate
-from rosplat_core.scenes import vertical
 from rosplat_core.splats import Splats
 from rosplat_tools.convert import main
 
@@ -39,7 +38,7 @@ def test_the_vertical_of_the_input_is_told(
     save(tmp_path / "y.spz", random_splats(4))
     for source, up in ((str(tmp_path / "y.spz"), (0, 1, 0)), ("procedural:4", (0, 0, 1))):
         assert main([source, str(tmp_path / "a.usda"), "--overwrite"]) == 0
-        assert vertical(str(tmp_path / "a.usda")) == up
+        assert load(tmp_path / "a.usda").up == up
     assert "take its axes" not in capsys.readouterr().err
 
 
