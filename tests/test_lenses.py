@@ -14,8 +14,10 @@ from rosplat_core.cameras import Camera, look_at
 from rosplat_core.generated import generate
 from rosplat_core.lens_pictures import take_picture
 from rosplat_core.lenses import Lens, LensError, Straightened, Warp
-from rosplat_core.rendering import CpuRenderer, DrawMode
+from rosplat_core.models import Model
+from rosplat_core.rendering import CpuRenderer, DrawMode, posed
 from rosplat_lab import reference
+from rosplat_lab.reference.rays import along_rays
 
 SIZE = {"width": 320, "height": 240, "fx": 210.0, "fy": 205.0, "cx": 161.3, "cy": 119.7}
 # As calibrations of real cameras have them.
@@ -272,3 +274,30 @@ def test_a_straight_picture_stays_as_it_is() -> None:
     picture, counts = np.zeros((240, 320, 3), np.uint8), np.ones((240, 320), bool)
     assert straightened.picture(picture, counts) == (picture, counts)
     assert (straightened.camera.cx, straightened.camera.cy) == (lens.cx + 0.5, lens.cy + 0.5)
+
+
+FISHEYE = Lens(64, 64, 30.0, 30.0, 31.5, 31.5, "equidistant")  # to 86 degrees in the corners
+
+
+@pytest.mark.parametrize(
+    "lens", [FISHEYE, replace(LENSES["plumb_bob"], width=80)], ids=["fisheye", "plumb_bob"]
+)
+def test_each_pixel_sees_along_its_own_ray(lens: Lens) -> None:
+    """Against brute force over all splats and pixels, which knows no faces and no bounds."""
+    splats = cloud(Model.RAY)[:200]
+    splats.scales[:] = np.maximum(splats.scales, 0.03)  # no filter catches what falls between rays
+    warp = Warp(lens)
+    picture = take_picture(CpuRenderer(splats), warp, EYE, depth="expected")
+    rgba, depth = along_rays(splats, EYE, lens.rays(pixels_of(lens)))
+    assert decibels(picture.colour, rgba[..., :3]) >= 70
+    assert rgba[..., 3].max() > 0.5  # there was something to see
+    assert picture.depth is not None
+    solid = rgba[..., 3] > 0.6
+    assert np.median(np.abs(picture.depth - depth)[solid]) < 1e-3  # [m]
+
+
+def test_only_rays_and_discs_are_drawn_by_samples() -> None:
+    warp = Warp(FISHEYE)
+    camera = posed(warp.cameras(np.eye(4), 0.01, 1e3)[0])
+    with pytest.raises(RuntimeError, match="only Ray and Disc are drawn by samples, not EWA"):
+        CpuRenderer(cloud()).draw(camera, samples=warp.samples[0])

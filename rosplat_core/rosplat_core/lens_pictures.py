@@ -6,13 +6,15 @@ A pixel has a surface where at most half of its light comes from behind the spla
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.cameras import Camera
 from rosplat_core.lenses import Warp
+from rosplat_core.models import Model
 from rosplat_core.rendering import CpuRenderer, DrawMode, posed
 
 MEDIAN, EXPECTED = "median", "expected"
@@ -55,7 +57,13 @@ def take_picture(
     if depth not in ("", *DEPTHS):
         raise ValueError(f"depth is '{depth}', expected one of {', '.join(DEPTHS)}")
     cameras = warp.cameras(world_to_lens, near, far)
+    by_rays = bool(warp.samples) and renderer.model in (Model.RAY, Model.DISC)
     wanted = {"median_depth": depth == MEDIAN, "mean_depth": depth == EXPECTED}
+    if by_rays:
+        picture = _by_rays(renderer, warp, cameras, wanted, normals)
+        if picture.normals is None:
+            return picture
+        return replace(picture, normals=picture.normals @ world_to_lens[:3, :3].T.astype("f4"))
     drawn = [renderer.draw(posed(camera), **wanted) for camera in cameras]
     colour = warp.colour([each["colour"][..., :3] for each in drawn])
     depths = warp.depth([_depth(each) for each in drawn]) if depth else None
@@ -66,6 +74,34 @@ def take_picture(
         ]))  # fmt: skip
         facing = facing @ world_to_lens[:3, :3].T.astype(np.float32)
     return LensPicture(colour, depths, facing)
+
+
+def _by_rays(
+    renderer: CpuRenderer,
+    warp: Warp,
+    cameras: list[Camera],
+    wanted: dict[str, bool],
+    normals: bool,
+) -> LensPicture:
+    """As take_picture, each pixel along its own ray."""
+
+    def draw(**wanted: bool) -> list[dict[str, Any]]:
+        return [
+            renderer.draw(posed(camera), samples=samples, **wanted)
+            for camera, samples in zip(cameras, warp.samples, strict=True)
+        ]
+
+    drawn = draw(**wanted)
+    colour = warp.placed([each["colour"][:, :3] for each in drawn])
+    depth = None
+    if any(wanted.values()):
+        depths = warp.ahead([_depth(each) for each in drawn])
+        depth = warp.placed([each[:, None] for each in depths], np.nan)[..., 0]
+    facing = None
+    if normals:
+        pictures = _in_mode(renderer, DrawMode.NORMALS, draw)
+        facing = warp.placed([_normals(each["colour"]) for each in pictures], np.nan)
+    return LensPicture(colour, depth, facing)
 
 
 def _in_mode(renderer: CpuRenderer, mode: DrawMode, draw: Callable[[], Any]) -> Any:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +33,8 @@ WIDEST = math.tan(math.radians(50))  # beyond, splats lose their shape in one pi
 STEEPEST = math.radians(84)  # most angle of a ray for polynomials of its tangent [rad]
 NEWTON_STEPS = 4
 TOLERANCE = 1e-4  # between a pixel and the projection of the ray found for it [px]
+TILE = 16  # as the rasteriser's [px]
+BEHIND = math.sin(math.radians(4))  # how far behind itself a lens sees that looks ahead
 MARGIN = 3  # around the part of a pinhole picture that is warped, for the filter's taps [px]
 
 
@@ -260,6 +262,18 @@ _FACES = (  # the axes right, down, forward of each face of a cube around the ca
 )
 
 
+class Samples(NamedTuple):
+    """The n pixels of a part of the lens's picture, as places in the pinhole picture."""
+
+    begins: NDArray[np.uint32]
+    """Where those of each tile of TILE x TILE pixels begin, row by row of tiles, and the end."""
+    x: NDArray[np.float32]
+    """(n,) and y (n,), where the centre of the top left pixel is (0.5, 0.5). [px]"""
+    y: NDArray[np.float32]
+    axis: tuple[float, float, float]
+    """The lens's axis in the pinhole camera's frame."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Part:
     """The n pixels of the lens's picture that are warped from one pinhole picture."""
@@ -269,6 +283,7 @@ class _Part:
     taps: csr_matrix  # (n, pixels of the pinhole picture) weights for resampling
     nearest: NDArray[np.intp]  # (n,) flat indices in the pinhole picture
     along: NDArray[np.float32]  # (n,) depth along the lens's axis over that along the pinhole's
+    samples: Samples
 
 
 class Warp:
@@ -276,7 +291,8 @@ class Warp:
 
     A lens without distortion needs one picture and no warp. Up to 50 degrees off the axis, one
     wider picture is enough; beyond, the faces of a cube are drawn. Colours are resampled by cubic
-    convolution (Keys 1981), depths and normals by their nearest pixel.
+    convolution (Keys 1981), depths and normals by their nearest pixel. Splats that are evaluated
+    along rays need neither: each pixel of the lens is seen along its own ray (samples, placed).
     """
 
     def __init__(self, lens: Lens) -> None:
@@ -289,6 +305,7 @@ class Warp:
         """(height, width) whether a ray arrives at a pixel."""
         self._straight: Camera | None = None
         self._parts: list[_Part] = []
+        self._ahead = True
         if lens.is_pinhole:
             centre = lens.cx + 0.5, lens.cy + 0.5  # Camera has the first pixel's centre at 0.5
             self._straight = Camera(
@@ -309,6 +326,7 @@ class Warp:
             steep = np.abs(rays[:, :2] / rays[:, 2:]).max(axis=1)
         if ((rays[:, 2] > 0) & (steep <= WIDEST))[met].all():
             of[met] = 0
+        self._ahead = bool((rays[met, 2] > -BEHIND).all())
         for number, face in enumerate(faces):
             pixels = np.flatnonzero(of == number)
             if len(pixels):
@@ -323,6 +341,28 @@ class Warp:
             )
             for camera in cameras
         ]
+
+    @property
+    def samples(self) -> list[Samples]:
+        """The lens's pixels in the picture of each camera.
+
+        None of a lens without distortion, nor of one that sees far beyond 90 degrees off its axis:
+        there, no depth along the axis tells which splats are in front.
+        """
+        return [part.samples for part in self._parts] if self._ahead else []
+
+    def placed(
+        self, values: Sequence[NDArray[np.float32]], missing: float = 0.0
+    ) -> NDArray[np.float32]:
+        """(height, width, c) from values of samples (n, c) for each camera."""
+        placed = np.full((self.lens.height * self.lens.width, values[0].shape[1]), missing, "f4")
+        for part, of_part in zip(self._parts, values, strict=True):
+            placed[part.pixels] = of_part
+        return placed.reshape(self.lens.height, self.lens.width, -1)
+
+    def ahead(self, depths: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
+        """Depths along the lens's axis from those of samples (n,) for each camera. [m]"""
+        return [part.along * depth for part, depth in zip(self._parts, depths, strict=True)]
 
     def colour(self, pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
         """(height, width, c) from one (h, w, c) for each camera; 0 where no ray arrives."""
@@ -380,6 +420,16 @@ class Warp:
         if max(width, height) > LONGEST_SIDE:
             raise LensError(f"d: the lens needs a picture of {width} x {height} pixels")
         places = places - low
+        across, down = -(-width // TILE), -(-height // TILE)
+        column, row = ((places + 0.5) // TILE).astype(int).T
+        tile = row * across + column
+        order = np.argsort(tile, kind="stable")
+        rays, depths, places, pixels = rays[order], depths[order], places[order], pixels[order]
+        ends = np.cumsum(np.bincount(tile, minlength=across * down))
+        samples = Samples(
+            np.append(0, ends).astype(np.uint32), *(places.T + 0.5).astype(np.float32),
+            tuple(rotation[:, 2].tolist()),
+        )  # fmt: skip
         pose = np.eye(4)
         pose[:3, :3] = rotation
         left, top = (0.5 - low).tolist()
@@ -387,7 +437,7 @@ class Warp:
         x, y = np.rint(places).astype(int).T
         with np.errstate(all="ignore"):
             along = np.where(rays[:, 2] > 0, rays[:, 2] / depths, np.nan).astype(np.float32)
-        return _Part(camera, pixels, _taps(places, width, height), y * width + x, along)
+        return _Part(camera, pixels, _taps(places, width, height), y * width + x, along, samples)
 
 
 class Straightened:

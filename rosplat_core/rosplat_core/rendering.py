@@ -69,6 +69,11 @@ class CpuRenderer(_core.CpuRenderer):
             check_splats(splats)
             insert_all(self, splats)
 
+    @property
+    def model(self) -> Model:
+        """The model that it draws by."""
+        return Model(self.map.model if self.settings.model is None else self.settings.model)
+
     def render(self, camera: Camera) -> NDArray[np.float32]:
         """What a camera sees: premultiplied RGBA over nothing, float32 (height, width, 4)."""
         if not isinstance(camera, Camera):

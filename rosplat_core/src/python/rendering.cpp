@@ -4,6 +4,7 @@
 #include <memory>
 #include <numeric>
 #include <optional>
+#include <tuple>
 #include <utility>
 
 #include "python/module.hpp"
@@ -94,15 +95,22 @@ PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
   return request;
 }
 
+// Samples from Python: where tiles begin, x, y and the lens's axis.
+using Samples = std::tuple<Array<std::uint32_t>, Array<float>, Array<float>, std::array<float, 3>>;
+
 py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_depth,
                    bool median_depth, const std::optional<Array<std::uint32_t>>& order,
-                   const std::vector<CpuRenderer*>& beside) {
+                   const std::vector<CpuRenderer*>& beside, const std::optional<Samples>& samples) {
   if (mean_depth && median_depth) throw std::invalid_argument("a picture has one depth");
   if (order && !beside.empty()) throw std::invalid_argument("an order is of one map alone");
   PictureRequest request = requestOf(renderer, camera, order);
   for (const CpuRenderer* other : beside) request.layers.push_back(layerOf(*other, camera));
   if (mean_depth) request.depth = PictureDepth::kMean;
   if (median_depth) request.depth = PictureDepth::kMedian;
+  if (samples) {
+    const auto& [begins, x, y, axis] = *samples;
+    request.samples = PictureSamples{begins, x, y, axis};
+  }
   SplatPicture& picture = renderer.picture;
   {
     const py::gil_scoped_release release;
@@ -128,6 +136,12 @@ py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_d
                  "error"_a = picture.layers.front().error,
                  "detail_error"_a = request.layers.front().levels ? renderer.detail.problem() : "",
                  "profile"_a = picture.profile, "bytes"_a = renderer.rasterizer.bytes());
+  if (samples) {  // by sample
+    const auto n = static_cast<py::ssize_t>(picture.colour.size() / 4);
+    drawn["colour"] = toArray(picture.colour, {n, 4});
+    if (!picture.depth.empty()) drawn["depth"] = toArray(picture.depth, {n, 1});
+    return drawn;
+  }
   drawn["colour"] = lendColour(renderer);
   if (!picture.depth.empty()) {
     drawn["depth"] = toArray(picture.depth, {picture.height, picture.width, 1});
@@ -310,6 +324,7 @@ void defineRendering(py::module_& module) {
       .def_readwrite("settings", &CpuRenderer::settings)
       .def("draw", &drawOnCpu, "camera"_a, "mean_depth"_a = false, "median_depth"_a = false,
            "order"_a = py::none(), "beside"_a = std::vector<CpuRenderer*>(),
+           "samples"_a = py::none(),
            "Draws the map; and, in one order with it, those of other renderers in the same frame.")
       .def("merge", &merge, py::call_guard<py::gil_scoped_release>())
       .def("splats", &splatsOf)

@@ -54,6 +54,21 @@ bool orSay(const SplatCamera& camera, const Run& run) {
                      std::to_string(camera.height) + " pixels");
 }
 
+// Throws PictureError for samples that can't be drawn.
+void check(const PictureRequest& request, std::size_t tiles) {
+  const PictureSamples& samples = *request.samples;
+  bool fits = samples.begins.size == tiles + 1 && samples.x.size == samples.y.size &&
+              samples.begins[0] == 0 && samples.begins[tiles] == samples.x.size;
+  for (std::size_t i = 0; fits && i < tiles; ++i) fits = samples.begins[i] <= samples.begins[i + 1];
+  if (!fits) throw PictureError("samples do not fit the picture's tiles");
+  for (const PictureLayer& layer : request.layers) {
+    const Model model = layer.settings.drawnModel(layer.map->model);
+    if (isEwa(model) || layer.camera.orthographic) {
+      throw PictureError("only Ray and Disc are drawn by samples, not " + nameOf(model));
+    }
+  }
+}
+
 }  // namespace
 
 bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wanted) {
@@ -69,7 +84,13 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
                        std::to_string(camera.height) + " pixels can't be drawn, only 1 to " +
                        std::to_string(kLongestSide));
   }
-  const std::size_t pixels = std::size_t(camera.width) * std::size_t(camera.height);
+  across = (camera.width + kTile - 1) / kTile;
+  down = (camera.height + kTile - 1) / kTile;
+  tiles = std::size_t(across) * std::size_t(down);
+  if (request.samples) check(request, tiles);
+  const std::size_t pixels = request.samples
+                                 ? request.samples->x.size
+                                 : std::size_t(camera.width) * std::size_t(camera.height);
   for (const ArrayView<float>* depths :
        {&request.scene_depth, &request.translucent_depth, &request.residual}) {
     if (!depths->empty() && depths->size != pixels) {
@@ -86,15 +107,12 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     wanted.contributions->error.resize(capacity);
     wanted.contributions->residual.resize(capacity);
   }
-  across = (camera.width + kTile - 1) / kTile;
-  down = (camera.height + kTile - 1) / kTile;
-  tiles = std::size_t(across) * std::size_t(down);
   if (picture) {
     const bool kept = picture->width == camera.width && picture->height == camera.height;
     picture->width = picture->height = 0;  // in case there is no memory for all of the picture
     picture->colour.resize(4 * pixels);
     picture->depth.resize(request.depth == PictureDepth::kNone ? 0 : pixels);
-    picture->tiles.resize(request.depth == PictureDepth::kMean ? tiles : 0);
+    picture->tiles.resize(request.depth == PictureDepth::kMean && !request.samples ? tiles : 0);
     const std::size_t divided = request.translucent_depth.empty() ? 0 : pixels;
     if (!kept || picture->behind.size() != 4 * divided) {
       picture->behind.assign(4 * divided, 0.0f);
@@ -109,7 +127,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
   }
   layers.resize(request.layers.size());
   for (std::size_t i = 0; i < layers.size(); ++i) {
-    setView(request.layers[i], request.now, layers[i]);
+    setView(request.layers[i], request, layers[i]);
   }
   conics = std::any_of(layers.begin(), layers.end(),
                        [](const SeenLayer& layer) { return !isEwa(layer.project.model); });
@@ -151,7 +169,8 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
         for (std::size_t tile; (tile = next++) < tiles && !cancelled();) {
           sortTile(tile, member);
           if (!picture) pick(request, *wanted.picked, first, tile, member);
-          if (blends) blend(request, *picture, first, tile, member);
+          if (blends && request.samples) blendSamples(request, *picture, first, tile, member);
+          if (blends && !request.samples) blend(request, *picture, first, tile, member);
           if (contributes) contribute(request, *picture, first, tile, member);
         }
       } catch (const std::bad_alloc&) {
@@ -166,11 +185,15 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
       for (std::size_t i = 0; i < layers.size(); ++i) of_layers[i].drawn += part.of_layers[i];
     }
     first = false;
+    if (request.samples) continue;  // beside the camera, nothing is known to be hidden
     hides = hides || std::find(open.begin(), open.begin() + std::ptrdiff_t(tiles), kEnded) !=
                          open.begin() + std::ptrdiff_t(tiles);
   }
   if (blends) {
-    if (request.depth == PictureDepth::kMean) findMeanDepths(request, *picture);
+    if (request.depth == PictureDepth::kMean && !request.samples) findMeanDepths(request, *picture);
+    if (request.depth == PictureDepth::kMean && request.samples) {
+      for (std::size_t i = 0; i < pixels; ++i) picture->depth[i] /= picture->colour[4 * i + 3];
+    }
     if (request.depth == PictureDepth::kMedian) {
       inParts(picture->depth.size(), 1 << 14, [&](const StepShare& part, Member&) {
         for (std::size_t i = part.begin; i < part.end; ++i) {

@@ -96,7 +96,14 @@ Floats shareOf(const CutView& cut, const float* eye, const Vec3& p, Floats paren
   return own > 0.0f ? coarser - rise(errorOf(cut, eye, p, all(own))) : coarser;
 }
 
-std::size_t cull(const CullView& given, const PageSlots& page, Candidate* candidates) {
+// The depth that counts of a point in the frame of a face of a lens's picture.
+Floats depthThrough(const CullView& view, const Vec3& p) {
+  const float* const axis = view.axis;
+  return axis[0] * p.x + axis[1] * p.y + axis[2] * p.z;
+}
+
+template <bool kThroughLens>
+std::size_t cullAs(const CullView& given, const PageSlots& page, Candidate* candidates) {
   const CullView view = given;  // copies that no store below can alias
   const GroupView group = *page.group;
   Candidate* out = candidates;
@@ -108,7 +115,8 @@ std::size_t cull(const CullView& given, const PageSlots& page, Candidate* candid
     const Floats y = transform(group.to_camera[1], p);
     const Floats z = transform(group.to_camera[2], p);
     const Floats w = view.orthographic ? all(1.0f) : z;
-    Ints seen = (extent >= 0.0f) & (z > view.near_clip) & (z < view.far_clip);
+    const Floats depth = kThroughLens ? depthThrough(view, {x, y, z}) : z;
+    Ints seen = (extent >= 0.0f) & (depth > view.near_clip) & (depth < view.far_clip);
     seen &= abs(view.fx * x + view.offset_x * w) <= view.half_width * w + view.slope_x * extent;
     seen &= abs(view.fy * y + view.offset_y * w) <= view.half_height * w + view.slope_y * extent;
     if (view.clip_to_box) {
@@ -117,7 +125,7 @@ std::size_t cull(const CullView& given, const PageSlots& page, Candidate* candid
     if (page.parents && any(seen)) {
       seen &= shareOf(view.cut, group.eye, p, load(page.parents + i), page.own_cell) > 0.0f;
     }
-    const Ints bits = (Ints)(z + 0.0f);  // the sum turns -0 into 0
+    const Ints bits = (Ints)(depth + 0.0f);  // the sum turns -0 into 0
     const Ints keys = bits ^ ((bits >> 31) | INT32_MIN);
     for (int lane = 0; lane < kLanes; ++lane) {
       *out = {std::uint32_t(keys[lane]), page.first_index + std::uint32_t(i + lane)};
@@ -125,6 +133,11 @@ std::size_t cull(const CullView& given, const PageSlots& page, Candidate* candid
     }
   }
   return std::size_t(out - candidates);
+}
+
+std::size_t cull(const CullView& view, const PageSlots& page, Candidate* candidates) {
+  return view.through_lens ? cullAs<true>(view, page, candidates)
+                           : cullAs<false>(view, page, candidates);
 }
 
 Floats scaleOf(Words code) {
@@ -286,9 +299,12 @@ Vec3 trainedColour(const ProjectView& view, const PageSlots& page, Appearance& a
   return {radiance(c.x + 0.5f), radiance(c.y + 0.5f), radiance(c.z + 0.5f)};
 }
 
-Vec3 colourOf(const ProjectView& view, const GroupView& group, const PageSlots& page,
-              Appearance& appearance, const Places& places, const Vec3& mean, Floats depth,
-              const Vec3& scale, const Vec3* orientation, Floats opacity) {
+// Inlined into both projections: a call would spill their registers.
+__attribute__((always_inline)) inline Vec3 colourOf(const ProjectView& view, const GroupView& group,
+                                                    const PageSlots& page, Appearance& appearance,
+                                                    const Places& places, const Vec3& mean,
+                                                    Floats depth, const Vec3& scale,
+                                                    const Vec3* orientation, Floats opacity) {
   if (view.mode == DrawMode::kOpacity) return turbo(opacity);
   if (view.mode == DrawMode::kDepth) {
     const float range = view.depth_range[1] - view.depth_range[0];
@@ -424,6 +440,46 @@ Ellipse ellipseOf(const ProjectView& view, const Conic<Floats>& conic, Floats cu
           closed ? e.determinant : around * around};
 }
 
+// A splat beside or behind the camera of a face of a lens's picture: its conic
+// in the frame that looks along its mean, as linear forms of the face's rays.
+struct Aside {
+  Vec3 u, v, along;  // of the ray x right, y down, z forward
+  Floats distance, nearness;
+  Ints seen;  // whether its outline reaches what is in front of the camera
+};
+
+Aside asideOf(const Vec3& p, const Vec3& scale, const Vec3 (&axes)[3], Floats sigmas) {
+  const auto cross = [](const Vec3& a, const Vec3& b) {
+    return Vec3{a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+  };
+  Aside aside;
+  aside.distance = sqrt(dot(p, p));
+  const Floats over = 1.0f / max(aside.distance, all(1e-20f));
+  const Vec3 ahead = over * p;
+  const Floats flat = 1.0f / max(sqrt(ahead.x * ahead.x + ahead.y * ahead.y), all(1e-6f));
+  const Vec3 right = {-ahead.y * flat, ahead.x * flat, Floats{}}, down = cross(ahead, right);
+  Rows<Floats> rows;
+  const Floats scales[3] = {over * scale.x, over * scale.y, over * scale.z};
+  Floats reach = {};
+  for (int k = 0; k < 3; ++k) {
+    rows.right[k] = scales[k] * dot(right, axes[k]);
+    rows.down[k] = scales[k] * dot(down, axes[k]);
+    rows.ahead[k] = scales[k] * dot(ahead, axes[k]);
+    reach += scales[k] * scales[k] * axes[k].z * axes[k].z;
+  }
+  aside.seen = ahead.z + sigmas * sqrt(reach) > 0.0f;
+  const Conic<Floats> c = conicOf(rows);
+  // Cholesky of the inverse: n = u^2 + v^2.
+  const Floats per_sigma = all(kHalfLog2 / 4.0f);
+  const Floats xx = max(c.xx, all(1e-20f)), left = 1.0f / sqrt(xx);
+  const Floats rest = sqrt(xx / max(c.determinant, all(1e-30f)));
+  aside.u = (per_sigma * left) * right;
+  aside.v = (per_sigma * rest) * (down + (-c.xy / xx) * right);
+  aside.along = ahead + c.tilt[0] * right + c.tilt[1] * down;
+  aside.nearness = c.nearness;
+  return aside;
+}
+
 template <bool kConic>
 std::size_t projectAs(const ProjectView& given, const PageSlots& page,
                       const std::uint16_t* places_of, std::size_t count, Record* records,
@@ -456,7 +512,10 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
         page.parents ? shareOf(view.cut, group.eye, mean, places.of(page.parents), page.own_cell)
                      : all(1.0f);
     Floats opacity = view.opacity_modifier * trained_opacity;
-    if (view.near_fade > 0.0f) opacity *= min((p.z - view.near_clip) / view.near_fade, all(1.0f));
+    if (view.near_fade > 0.0f) {
+      const Floats from_eye = view.through_lens ? sqrt(dot(p, p)) : p.z;
+      opacity *= min((from_eye - view.near_clip) / view.near_fade, all(1.0f));
+    }
 
     // Rows of the projection's Jacobian: {jx, 0, jxz} and {0, jy, jyz}. Tangents are clamped as in
     // training.
@@ -551,15 +610,51 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
       }
       outline = ellipseOf(view, conic, max(sigmas * sigmas, all(1e-6f)), x, y, spot);
     }
-    const Floats reach_x = sigmas * sqrt(outline.a), reach_y = sigmas * sqrt(outline.c);
+    const Floats reach_x = sigmas * sqrt(outline.a);
+    Floats reach_y = sigmas * sqrt(outline.c);
     const Floats window_depth = windowDepthOf(view, p.z);
-    const PixelSpan columns = pixelsIn(outline.x - reach_x, outline.x + reach_x, int(view.width));
-    const PixelSpan lines = pixelsIn(outline.y - reach_y, outline.y + reach_y, int(view.height));
-    Ints seen = (opacity >= kCutoffAlpha) & (major < 1e16f) & (window_depth >= 0.0f);
+    PixelSpan columns = pixelsIn(outline.x - reach_x, outline.x + reach_x, int(view.width));
+    PixelSpan lines = pixelsIn(outline.y - reach_y, outline.y + reach_y, int(view.height));
+    Ints seen = (opacity >= kCutoffAlpha) & (major < 1e16f);
+    if (!view.through_lens) seen &= window_depth >= 0.0f;
     seen &= (outline.x + reach_x > 0.0f) & (outline.y + reach_y > 0.0f) &
             (outline.x - reach_x < view.width) & (outline.y - reach_y < view.height);
     seen &= (columns.first < columns.last) & (lines.first < lines.last);
     seen &= counting() < float(lanes);
+    Ints aside_lanes = {};
+    Aside aside;
+    if constexpr (kConic) {
+      constexpr float kSteep = 0.05f;  // of z over distance
+      if (view.through_lens) {
+        aside_lanes = p.z <= kSteep * sqrt(dot(p, p));
+        if (any(aside_lanes)) {
+          Vec3 axes[3];
+          for (int k = 0; k < 3; ++k) {
+            const auto inCamera = [&](const float* row) {
+              return row[0] * orientation[k].x + row[1] * orientation[k].y +
+                     row[2] * orientation[k].z;
+            };
+            axes[k] = {inCamera(right), inCamera(down_of), inCamera(ahead)};
+          }
+          aside = asideOf(p, scale, axes, sigmas);
+          const Ints counts = (opacity >= kCutoffAlpha) & aside.seen & (counting() < float(lanes));
+          seen = aside_lanes ? counts : seen;
+          columns.first = aside_lanes ? Ints{} : columns.first;
+          columns.last = aside_lanes ? allInts(int(view.width)) : columns.last;
+          lines.first = aside_lanes ? Ints{} : lines.first;
+          lines.last = aside_lanes ? allInts(int(view.height)) : lines.last;
+          const float around = view.width + view.height;
+          const Floats wide = around * around / max(sigmas * sigmas, all(1e-6f));
+          outline.x = aside_lanes ? all(0.5f * view.width) : outline.x;
+          outline.y = aside_lanes ? all(0.5f * view.height) : outline.y;
+          outline.a = aside_lanes ? wide : outline.a;
+          outline.b = aside_lanes ? Floats{} : outline.b;
+          outline.c = aside_lanes ? wide : outline.c;
+          outline.determinant = aside_lanes ? wide * wide : outline.determinant;
+          reach_y = aside_lanes ? all(around) : reach_y;
+        }
+      }
+    }
     if (!any(seen)) continue;
 
     const Vec3 colour = colourOf(view, group, page, appearance, places, mean, p.z, scale,
@@ -613,12 +708,30 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
       record.share = ball_share < 0.0f ? ball_share : share[i];
       if constexpr (kConic) {
         const float per_square = kHalfLog2 * kHalfLog2 / kSquared;
-        shapes[n] = {conic.tilt[0][i],
-                     conic.tilt[1][i],
-                     conic.nearness[i] / per_square,
-                     spot.x[i],
-                     spot.y[i],
-                     view.model == Model::kDisc ? kSpot * per_square : kNoSpot};
+        RayShape& shape = shapes[n];
+        const bool has_spot = view.model == Model::kDisc;
+        shape = {conic.tilt[0][i],
+                 conic.tilt[1][i],
+                 conic.nearness[i] / per_square,
+                 has_spot ? spot.x[i] : __builtin_inff(),
+                 spot.y[i],
+                 0,
+                 0,
+                 1};
+        if (aside_lanes[i]) {
+          shape = {aside.along.x[i] / view.fx,
+                   aside.along.y[i] / view.fy,
+                   aside.nearness[i] / per_square,
+                   __builtin_inff(),
+                   0,
+                   aside.u.z[i],
+                   aside.v.z[i],
+                   aside.along.z[i]};
+          record.x = view.cx, record.y = view.cy;
+          record.ux = aside.u.x[i] / view.fx, record.uy = aside.u.y[i] / view.fy;
+          record.vx = aside.v.x[i] / view.fx, record.vy = aside.v.y[i] / view.fy;
+          record.depth = aside.distance[i];
+        }
       }
       Footprint& footprint = footprints[n];
       footprint.top = std::int16_t(rows_of_tiles.first[i]);
@@ -653,7 +766,7 @@ std::size_t project(const ProjectView& view, const PageSlots& page, const std::u
   const std::size_t n =
       projectAs<false>(view, page, places, count, records, nullptr, footprints, kept);
   for (std::size_t i = 0; shapes && i < n; ++i) {
-    shapes[i] = {0, 0, 0, records[i].x, records[i].y, kNoSpot};
+    shapes[i] = {0, 0, 0, __builtin_inff(), 0, 0, 0, 1};
   }
   return n;
 }
@@ -688,6 +801,31 @@ bool ended(const float* transmittance, const float* behind, float ends_at) {
 constexpr std::size_t kAhead = 8;      // records are prefetched this many splats ahead
 constexpr std::size_t kPatience = 32;  // splats between tests whether a tile has ended
 
+// Calls blend(sample, exponents, covered, depths) for each vector of samples.
+template <typename Blend>
+void atSamples(const TileSamples& samples, const Record& e, const RayShape& shape,
+               const Blend& blend) {
+  const Floats peak = all(e.peak), depth = all(e.depth);
+  const Floats end = all(e.share < 0.0f ? kBallEnd : kCutoffEnd);
+  const Floats spot = all(kSpot * kHalfLog2 * kHalfLog2 / kSquared);
+  for (int i = 0; i < samples.count; i += kLanes) {
+    const Floats x = load(samples.x + i), y = load(samples.y + i);
+    const Floats dx = x - e.x, dy = y - e.y;
+    const Floats u = fma(dx, all(e.ux), fma(dy, all(e.uy), all(shape.u)));
+    const Floats v = fma(dx, all(e.vx), fma(dy, all(e.vy), all(shape.v)));
+    const Floats along = fma(dx, all(shape.tilt_x), fma(dy, all(shape.tilt_y), all(shape.along)));
+    const Floats flat = fma(v, v, u * u);
+    const Floats over = 1.0f / fma(along, along, shape.nearness * flat);
+    const Floats on_ray = fma(-flat, over, peak);
+    const Floats beside = x - shape.spot_x, below = y - shape.spot_y;
+    const Floats of_spot = fma(-spot * below, below, peak - spot * beside * beside);
+    const Floats exponent = max(on_ray, of_spot);
+    const Ints covered = exponent >= end;
+    if (!any(covered)) continue;
+    blend(i, exponent, covered, on_ray < of_spot ? depth : max(depth * along * over, Floats{}));
+  }
+}
+
 // Calls blendOf(record)(pixel, exponents, covered, depths) for each splat of a tile, nearest first,
 // and for each vector of pixels in the splat's box, until nothing behind can be seen. Returns
 // whether that is so at the end. kConic: the splats have shapes.
@@ -707,6 +845,10 @@ bool walk(const ListedTile& tile, const float* transmittance, const float* behin
     }
     const Record& e = records[listed[k].record];
     const auto blend = blendOf(e);
+    if (kConic && tile.samples.x) {
+      atSamples(tile.samples, e, tile.shapes[listed[k].record], blend);
+      continue;
+    }
     const int first = most(e.top - top, 0), last = least(e.bottom - top, kTile);
     const int begin = kLanes == kTile ? 0 : most(e.left - left, 0) / kLanes * kLanes;
     const int end_column = kLanes == kTile ? kTile : least(e.right - left, kTile);
@@ -722,7 +864,8 @@ bool walk(const ListedTile& tile, const float* transmittance, const float* behin
         const RayShape& shape = tile.shapes[listed[k].record];
         const Floats x = columns + (float(column) + dx);
         const Floats beside = x + (e.x - shape.spot_x);
-        const Floats spot = all(shape.spot), level = peak - spot * beside * beside;
+        const Floats spot = all(kSpot * kHalfLog2 * kHalfLog2 / kSquared);
+        const Floats level = peak - spot * beside * beside;
         Floats below = all(dy + e.y - shape.spot_y);
         Floats along = fma(x, all(shape.tilt_x), all(1.0f + shape.tilt_y * dy));
         for (int row = first; row < last; ++row) {

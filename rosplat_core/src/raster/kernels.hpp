@@ -30,6 +30,10 @@ struct CullView {
   bool clip_to_box;
   float half_box[3];  // [m]
   CutView cut;
+  // Of a face of a lens's picture: the lens's own axis in the face's frame. The depths that count,
+  // for clips and order, are those along it.
+  bool through_lens;
+  float axis[3];
 };
 
 // A slot that may be seen.
@@ -66,6 +70,7 @@ struct ProjectView {
   DrawMode mode;
   int sh_degree, only_band;
   bool orthographic;
+  bool through_lens;  // splats beside and behind the camera count, too
   Model model;
   CutView cut;
 };
@@ -93,16 +98,17 @@ struct alignas(64) Record {
 };
 static_assert(sizeof(Record) == 64);
 
-// What makes a record a conic (views/conic.hpp), in a picture that shows any: of an EWA splat it is
-// kFlatShape. The response is that of the nearer one of ray and spot.
+// What makes a record a conic (views/conic.hpp), in a picture that shows any. The response is that
+// of the nearer one of ray and spot.
 struct alignas(32) RayShape {
   float tilt_x, tilt_y;  // [1/px]
-  float nearness;
-  float spot_x, spot_y;  // [px]
-  float spot;            // log2 of the spot's alpha, at kSquarings [1/px^2]
+  float nearness;        // for u^2 + v^2
+  float spot_x, spot_y;  // [px], infinite where there is none
+  // Of a splat that is beside or behind the camera, Record::x, y are the principal point: u, v and
+  // 1 + tilt.d there. Else 0, 0 and 1.
+  float u, v, along;
 };
 static_assert(sizeof(RayShape) == 32);
-constexpr float kNoSpot = 1e20f;  // as RayShape::spot: only the pixel at its very middle sees it
 
 // Values of Record::share for solid balls, which are blended differently.
 constexpr float kFlatBallShare = -1, kGaussianBallShare = -2;
@@ -120,6 +126,13 @@ struct Footprint {
   std::int16_t left, right;                // columns of all rows: [left, right)
   // Set only if there are more than kRows rows; as Outline in splat_tiles.glsl.
   float x, y, reach_y, half_width, lean, rightmost;
+};
+
+// Samples in place of a tile's pixels, kTilePixels at most; padded to a whole vector.
+struct TileSamples {
+  const float* x;  // [px]
+  const float* y;
+  int count;
 };
 
 // A splat in the list of a tile.
@@ -141,6 +154,7 @@ struct ListedTile {
   std::size_t count;
   const Record* records;
   const RayShape* shapes;  // one for each record; null: all are flat
+  TileSamples samples;     // null: pixels. Requires shapes
   int left, top;           // [px]
   const float* opaque;     // window depths of opaque objects, which hide splats behind; or null
 };

@@ -30,6 +30,7 @@ ListedTile CpuRasterizer::Work::listedTile(const PictureRequest& request, const 
           inTile(tile),
           records.get(),
           conics ? shapes.get() : nullptr,
+          {},
           rect.left,
           rect.top,
           depthsOf(request.scene_depth, rect, member.opaque)};
@@ -92,6 +93,45 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
       picture.nearness[2 * pixel] = member.behind.depth[i];
       picture.nearness[2 * pixel + 1] = 1 - member.behind.transmittance[i];
     });
+  }
+}
+
+// Blends a tile's samples, as many at a time as a tile has pixels.
+void CpuRasterizer::Work::blendSamples(const PictureRequest& request, SplatPicture& picture,
+                                       bool first, std::size_t number, Member& member) {
+  if (inTile(number) == 0 && !first) return;
+  const PictureSamples& samples = *request.samples;
+  const bool deep = request.depth != PictureDepth::kNone;
+  TilePixels& pixels = member.pixels;
+  const std::size_t end = samples.begins[number + 1];
+  for (std::size_t begin = samples.begins[number]; begin < end; begin += kTilePixels) {
+    const std::size_t count = std::min<std::size_t>(end - begin, kTilePixels);
+    std::memset(&pixels, 0, sizeof(pixels));
+    std::fill_n(member.opaque, kTilePixels, 0.0f);
+    std::fill_n(member.divided, kTilePixels, 0.0f);
+    std::copy_n(samples.x.data + begin, count, member.opaque);
+    std::copy_n(samples.y.data + begin, count, member.divided);
+    for (std::size_t i = 0; i < count; ++i) {
+      const float* const rgba = &picture.colour[4 * (begin + i)];
+      pixels.transmittance[i] = first ? 1 : 1 - rgba[3];
+      for (int k = 0; k < 3 && !first; ++k) pixels.colour[k][i] = rgba[k];
+      if (deep && !first) pixels.depth[i] = picture.depth[begin + i];
+    }
+    BlendTile tile{};
+    tile.listed = listed.get() + begins[number];
+    tile.count = inTile(number);
+    tile.records = records.get();
+    tile.shapes = shapes.get();
+    tile.samples = {member.opaque, member.divided, int(count)};
+    tile.ends_at = ends_at;
+    tile.pixels = &pixels;
+    kernels.blend(tile, request.depth);
+    for (std::size_t i = 0; i < count; ++i) {
+      float* const rgba = &picture.colour[4 * (begin + i)];
+      for (int k = 0; k < 3; ++k) rgba[k] = pixels.colour[k][i];
+      rgba[3] = 1 - pixels.transmittance[i];
+      if (deep) picture.depth[begin + i] = pixels.depth[i];
+    }
   }
 }
 

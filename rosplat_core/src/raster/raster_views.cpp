@@ -10,11 +10,14 @@
 
 namespace rosplat {
 
-void CpuRasterizer::Work::setView(const PictureLayer& layer, double now, SeenLayer& seen) {
+void CpuRasterizer::Work::setView(const PictureLayer& layer, const PictureRequest& request,
+                                  SeenLayer& seen) {
   const SplatCamera& camera = layer.camera;
   const RenderSettings& settings = layer.settings;
   const ClipBox& box = settings.clip_box;
-  seen.groups = seenGroups(camera, layer.slots->index().groups(), box);
+  SplatCamera of_pages = camera;
+  if (request.samples) of_pages.near_clip = -camera.far_clip;  // the lens clips single splats
+  seen.groups = seenGroups(of_pages, layer.slots->index().groups(), box);
   seen.error = layer.levels ? layer.error : 0;
   // All groups share this; SeenGroup has each group's pose.
   const SortView view = sortView(camera, {}, 1.0);
@@ -30,6 +33,8 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, double now, SeenLay
   c.near_clip = view.near_clip;
   c.far_clip = view.far_clip;
   c.orthographic = view.orthographic;
+  c.through_lens = request.samples.has_value();
+  if (request.samples) std::copy_n(request.samples->axis.begin(), 3, c.axis);
   c.clip_to_box = box.enabled;
   for (int i = 0; i < 3; ++i) c.half_box[i] = 0.5f * box.size[i];
 
@@ -54,7 +59,7 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, double now, SeenLay
   p.ndc_offset = static_cast<float>(camera.ndc_offset);
   p.scale_modifier = settings.scale;
   p.opacity_modifier = settings.opacity;
-  p.now = static_cast<float>(now);
+  p.now = static_cast<float>(request.now);
   p.age_range = settings.age_range;
   const ChannelColouring channel = colouringOf(layer.map->channels, settings);
   seen.channel = channel.channel;
@@ -68,6 +73,7 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, double now, SeenLay
   p.sh_degree = std::min(layer.slots->shDegree(), settings.max_sh_degree);
   p.only_band = settings.only_band;
   p.orthographic = camera.orthographic;
+  p.through_lens = c.through_lens;
   p.model = settings.drawnModel(layer.map->model);
 }
 

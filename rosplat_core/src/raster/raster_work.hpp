@@ -134,7 +134,7 @@ struct CpuRasterizer::Work {
   };
 
   bool run(const PictureRequest& request, const Wanted& wanted);
-  void setView(const PictureLayer& layer, double now, SeenLayer& seen);
+  void setView(const PictureLayer& layer, const PictureRequest& request, SeenLayer& seen);
   void setOrder(const HostSlots& slots, const ArrayView<std::uint32_t>& order);
   void choosePages(const PictureLayer& layer, std::uint32_t number);
   void choose(const SlotPage& page, const HostSlots::Page& memory, std::uint32_t layer);
@@ -151,6 +151,8 @@ struct CpuRasterizer::Work {
   void findMeanDepths(const PictureRequest& request, SplatPicture& picture);
   void blend(const PictureRequest& request, SplatPicture& picture, bool first, std::size_t tile,
              Member& member);
+  void blendSamples(const PictureRequest& request, SplatPicture& picture, bool first,
+                    std::size_t tile, Member& member);
   void pick(const PictureRequest& request, std::vector<std::uint32_t>& picked, bool first,
             std::size_t tile, Member& member);
   void contribute(const PictureRequest& request, const SplatPicture& picture, bool first,

@@ -36,6 +36,16 @@ struct PictureLayer {
   double error = 0;  // [px]
 };
 
+// Places in a picture that are seen in place of its pixels: the pixels of a lens, where their rays
+// pierce a face of a cube around the camera. Each is seen along its own ray, so that the faces have
+// no seams.
+struct PictureSamples {
+  ArrayView<std::uint32_t> begins;  // of each tile's samples, row by row of tiles, and the end
+  ArrayView<float> x, y;            // sorted by tile [px]
+  // The lens's own axis in the face's frame: depths along it decide on clips and order.
+  std::array<float, 3> axis{};
+};
+
 // What a picture shows. The caller owns the arrays. Arrays by pixel begin with the top row.
 struct PictureRequest {
   // At least one layer. All layers have the same camera: only the frame that the camera is given in
@@ -51,6 +61,9 @@ struct PictureRequest {
   // all slots, by depth; ties are broken as by the sorters (DepthOrder).
   std::optional<ArrayView<std::uint32_t>> order;
   PictureDepth depth = PictureDepth::kNone;
+  // If set, colours and depths are by sample, in their order. For draw() of maps whose model is Ray
+  // or Disc, without objects.
+  std::optional<PictureSamples> samples;
   // For contribute(): numbers by pixel, to be shared out to the pixel's splats. May be empty.
   ArrayView<float> residual;
   // Another thread sets this to cancel the picture.

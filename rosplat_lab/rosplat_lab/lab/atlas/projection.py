@@ -8,8 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from rosplat_core.cameras import Camera
 from rosplat_core.models import Model
-from rosplat_core.splats import concatenate
+from rosplat_core.splats import Splats, concatenate
 from rosplat_lab.lab.atlas.case import Cases, Errors
 from rosplat_lab.lab.atlas.stage import (
     HEIGHT,
@@ -29,6 +30,14 @@ from rosplat_lab.lab.motion import placed
 CASES = Cases()
 
 
+def by_models(stage: Stage, splats: Splats, camera: Camera) -> Errors:
+    """The processor's PSNR, as rays and as discs. [dB]"""
+    for model in (Model.RAY, Model.DISC):
+        of_model = replace(splats, model=model)
+        picture = stage.shown(of_model, camera, PROCESSOR)
+        yield f"{PROCESSOR}, {model}", decibels(picture, truth(of_model, camera))
+
+
 @CASES.enter("Wide fields of view", "angle of view [deg]", [40, 60, 80, 100, 120, 140])
 def wide_view(stage: Stage, angle: float) -> Errors:
     random = np.random.default_rng(0)
@@ -40,10 +49,9 @@ def wide_view(stage: Stage, angle: float) -> Errors:
     camera = ahead(math.radians(angle))
     expected = truth(room, camera)
     yield from stage.both(room, camera, expected)
-    yield (
-        "EWA against exact rays",
-        decibels(expected, truth(replace(room, model=Model.RAY), camera)),
-    )
+    by_rays = truth(replace(room, model=Model.RAY), camera)
+    yield "EWA against exact rays", decibels(expected, by_rays)
+    yield from by_models(stage, room, camera)
 
 
 @CASES.enter(
@@ -70,6 +78,7 @@ def inside(stage: Stage, size: float) -> Errors:
     splats = replace(cloud(200, size=size), opacities=cloud(200).opacities * np.float32(0.5))
     camera = placed(ahead(near=0.01), (0.05, 0.0, -0.1))
     yield from stage.both(splats, camera, truth(splats, camera))
+    yield from by_models(stage, splats, camera)
 
 
 @CASES.enter("Needles and discs", "longest over shortest axis", [1, 1e2, 1e4, 1e6, 1e8])
