@@ -27,10 +27,14 @@ from rosplat_core.rendering import (
     OrderSource,
     Rasterizer,
     RenderSettings,
+    insert,
+    insert_all,
     pose,
 )
 from rosplat_core.splats import Splats
 from rosplat_lab import reference
+from rosplat_lab.reference.projection import Projected, project
+from rosplat_lab.reference.renderer import blended
 from rosplat_sorter.order_slots import PACKED, SHARED, OrderError, pack
 from rosplat_sorter.shared_orders import FOLDER, OrderBuffer, SharedOrders
 from rosplat_testing import PATIENCE
@@ -178,6 +182,84 @@ def test_antialiased_models_keep_their_opacity_compensation(host: Host) -> None:
     assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70
     plain = reference.render(replace(splats, model=Model.EWA), CAMERAS["outside"]).rgba
     assert decibels(plain, expected) < 40
+
+
+def tangent_focal(degrees: float) -> float:
+    """The focal length at which a picture is so many degrees wide. [px]"""
+    return WIDTH / 2 / float(np.tan(np.radians(degrees / 2)))
+
+
+def hard(name: str) -> tuple[Splats, Camera]:
+    """Splats and a camera that are hard to draw along rays."""
+    splats = cloud(200, degree=0)
+    if name == "140 degrees":
+        return splats, camera_at((0.6, 0.3, 0.2), fx=tangent_focal(140), fy=tangent_focal(140))
+    if name == "needles":
+        splats.scales[:] = [1.0, 0.03, 0.03]  # packed rotations move thinner ones
+        return splats, CAMERAS["outside"]
+    faint = replace(splats, opacities=splats.opacities * np.float32(0.2))
+    if name == "within giants":  # and their centres beside the camera, some all but behind it
+        faint.scales[:] *= 400
+        faint.positions[:] *= 20
+        return faint, CAMERAS["inside"]
+    splats.orientations[:] = [0, 0, 0, 1]
+    splats.positions[:] *= [4, 4, 0]
+    splats.scales[:] *= [3, 3, 0.01]
+    height = {"grazed": 0.05, "on edge": 1e-4}[name]
+    return splats, camera_at((3.0, 0.0, height), target=(0, 0, height))
+
+
+HARD = ("140 degrees", "needles", "within giants", "grazed", "on edge")
+
+
+@pytest.mark.parametrize("case", [*CAMERAS, *HARD])
+@pytest.mark.parametrize("model", [Model.RAY, Model.DISC], ids=str)
+def test_rays_and_discs_match_the_float64_renderer(host: Host, model: Model, case: str) -> None:
+    splats, camera = hard(case) if case in HARD else (cloud(400), CAMERAS[case])
+    splats = replace(splats, model=model)
+    expected = reference.render(splats, camera)
+    host.show(splats)
+    host.set(float_blending=True)
+    picture, depth = host.draw(camera), host.renderer.read_depth()
+    assert np.isfinite(picture).all()
+    assert decibels(picture, expected.rgba) >= 70
+    solid = expected.rgba[..., 3] > 0.4
+    assert solid.any()  # there was something to see
+    error = np.abs(depth / expected.depth - 1)[solid]
+    assert np.median(error) < 1e-3
+
+
+def test_a_disc_on_edge_is_no_nan(host: Host) -> None:
+    """The camera is in the discs' plane, of which float32 knows nothing there."""
+    splats, _ = hard("on edge")
+    host.show(replace(splats, model=Model.DISC))
+    host.set(float_blending=True)
+    assert np.isfinite(host.draw(camera_at((3.0, 0.0, 0.0)))).all()
+
+
+def test_maps_of_all_models_are_sorted_together(host: Host) -> None:
+    maps = [replace(cloud(150, degree=0, seed=model), model=model) for model in Model]
+    host.show(maps[0])
+    others = [host.renderer.add_map() for _ in maps[1:]]
+    for other, splats in zip(others, maps[1:], strict=True):
+        insert_all(other, splats)
+    host.set(float_blending=True)
+    for camera in (CAMERAS["outside"], CAMERAS["inside"]):
+        together = [project(splats, camera) for splats in maps]
+        joined = Projected(
+            **{
+                name: np.concatenate([vars(of)[name] for of in together])
+                for name in vars(together[0])
+            }
+        )
+        nearest_first = joined[np.argsort(joined.depths, kind="stable")]
+        expected = blended(nearest_first, (0, 0, WIDTH, HEIGHT)).rgba
+        assert decibels(host.draw(camera), expected) >= 70
+    for other in others:
+        insert(other, maps[0][:0], slice(0, 0), 1)
+    host.set(model=Model.RAY)  # of all maps; one is left
+    expected = reference.render(replace(maps[0], model=Model.RAY), CAMERAS["outside"]).rgba
+    assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70
 
 
 def test_far_from_the_origin_nothing_is_lost(host: Host) -> None:

@@ -1,5 +1,5 @@
-// What all passes share. The class Shaders puts #version, its defines for the driver (as PARTS), and the
-// engine's constants (rosplat_core/slots/constants.hpp) before this.
+// What all passes share. The class Shaders puts #version, its defines for the driver (as PART_BYTES) and
+// for what splats are drawn as (Shapes), and the engine's constants (rosplat_core/slots/constants.hpp) before this.
 
 // Opacity of a Gaussian that falls below kCutoffAlpha at kBallEdge of its peak, or a little beyond.
 const float kBallOpacity = 0.0179;
@@ -44,9 +44,18 @@ struct Ellipse {
   vec3 colour;    // not negative
   float opacity;  // 0: not drawn; a node's is up to kMostNodeOpacity, a ball's is kBallOpacity
   uint kind;
+#ifdef RAYS
+  vec2 tilt;       // as in splat_conic.glsl; 0 of ellipses in the picture [1/px]
+  float nearness;  // the same
+  bool has_spot;   // is a disc
+#endif
 };
 
+#ifdef RAYS
+struct PackedEllipse { uvec4 a, b, c; };
+#else
 struct PackedEllipse { uvec4 a, b; };
+#endif
 
 // A negative minor axis says that the opacity is divided by kMostNodeOpacity. The signs of red and green
 // are the kind's bits.
@@ -59,7 +68,11 @@ PackedEllipse packEllipse(Ellipse e) {
   return PackedEllipse(
       uvec4(floatBitsToUint(vec3(e.centre, e.depth)), packHalf2x16(abs(e.colour.rg)) | kind),
       uvec4(floatBitsToUint(vec3(e.major, e.minor)),
-            packHalf2x16(vec2(e.colour.b, 0.0)) | packUnorm2x16(vec2(0.0, e.opacity))));
+            packHalf2x16(vec2(e.colour.b, 0.0)) | packUnorm2x16(vec2(0.0, e.opacity)))
+#ifdef RAYS
+      , uvec4(floatBitsToUint(vec3(e.tilt, e.nearness)), uint(e.has_spot))
+#endif
+  );
 }
 
 Ellipse unpackEllipse(PackedEllipse p) {
@@ -71,6 +84,11 @@ Ellipse unpackEllipse(PackedEllipse p) {
   e.colour = vec3(unpackHalf2x16(p.a.w & 0x7fff7fffu), unpackHalf2x16(p.b.w).x);
   e.kind = (p.a.w >> 15 & 1u) | p.a.w >> 31 << 1;
   e.opacity = unpackUnorm2x16(p.b.w).y * (uintBitsToFloat(p.b.z) < 0.0 ? kMostNodeOpacity : 1.0);
+#ifdef RAYS
+  e.tilt = uintBitsToFloat(p.c.xy);
+  e.nearness = uintBitsToFloat(p.c.z);
+  e.has_spot = p.c.w != 0u;
+#endif
   return e;
 }
 
@@ -87,10 +105,10 @@ vec4 falloffAxes(Ellipse e) {
   return vec4(kHalfLog2 * e.major / dot(e.major, e.major), kHalfLog2 * minorDirection(e) / e.minor);
 }
 
-// The falloff at an offset from the centre [px].
-float falloffAt(vec4 axes, vec2 offset) {
+// The square of the distance from the centre that the falloff is exp2(-) of, at an offset [px].
+float squareAt(vec4 axes, vec2 offset) {
   vec2 sigmas = vec2(dot(offset, axes.xy), dot(offset, axes.zw));
-  return exp2(-dot(sigmas, sigmas));
+  return dot(sigmas, sigmas);
 }
 
 // What pixels need to know of the kind: the opacity or, for a ball, one of these numbers below 0.

@@ -15,9 +15,22 @@ shared uint searching;  // pixels that a farther splat may still win
 shared uint indices[kBatch];
 shared vec4 places[kBatch];  // centre [px], window depth, peakOf()
 shared vec4 axes[kBatch];    // falloffAxes()
+#ifdef RAYS
+shared vec4 tilts[kBatch];  // tiltOf()
+#endif
+#ifdef DISCS
+shared vec2 spots[kBatch];  // of discs; far away where there is none [px]
+#endif
 
 float pixelAlpha(uint k, vec2 pixel) {
-  return alphaAt(places[k].w, falloffAt(axes[k], pixel - places[k].xy));
+  float square = squareAt(axes[k], pixel - places[k].xy);
+#ifdef RAYS
+  square = squareOfRay(tilts[k], alongRay(tilts[k], pixel), square);
+#endif
+#ifdef DISCS
+  square = min(square, squareInSpot(pixel - spots[k]));
+#endif
+  return alphaAt(places[k].w, exp2(-square));
 }
 
 void take(uint k, uint index) {
@@ -25,6 +38,12 @@ void take(uint k, uint index) {
   indices[k] = index;
   places[k] = vec4(e.centre, windowDepth(e.depth), peakOf(e));
   axes[k] = falloffAxes(e);
+#ifdef RAYS
+  tilts[k] = tiltOf(e, vec2(0.0));
+#endif
+#ifdef DISCS
+  spots[k] = e.has_spot ? spotOf(e) : vec2(kEverywhere);
+#endif
 }
 
 void main() {

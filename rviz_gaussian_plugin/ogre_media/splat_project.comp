@@ -18,6 +18,8 @@ uniform uint room;  // for visible splats
 uniform uint first_share;
 uniform uint groups_of_slots;  // 256 each, of all kept pages
 
+const float kMostVariance = 1e16, kMostUnit = 1e18;  // beyond any picture, and soon beyond float32
+
 shared uint group_nearest, group_farthest;
 shared uint seen_before, words[8];
 
@@ -115,14 +117,28 @@ vec3 colour(uint slot, uint group, float depth, vec3 direction, vec3 scale, mat3
   return trainedColour(slot, direction);
 }
 
+#ifdef RAYS
+// Whether nothing of a projected splat is in the picture. right, down, ahead: as conicOf() takes them.
+bool isOutside(Ellipse e, vec3 right, vec3 down, vec3 ahead) {
+  Outline outline = outlineOf(e);
+  if (outline.reach.x == kEverywhere) return missesPicture(e.centre, right, down, ahead, cutoffSigmas(e.opacity));
+  vec2 columns = columnRange(outline), rows = rowRange(outline);
+  return !(columns.y > 0.0 && rows.y > 0.0 && columns.x < float(view.picture.x) && rows.x < float(view.picture.y));
+}
+#endif
+
 // The ellipse of a slot, of opacity 0 where nothing of it is in the picture.
 Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
+#ifdef RAYS
+  Ellipse e = Ellipse(vec2(0.0), p.z, vec2(0.0), 0.0, vec3(0.0), 0.0, map.kind, vec2(0.0), 0.0, false);
+#else
   Ellipse e = Ellipse(vec2(0.0), p.z, vec2(0.0), 0.0, vec3(0.0), 0.0, map.kind);
+#endif
   float trained_opacity = opacityUnit(page) * slotOpacity(slot);
   float opacity = map.opacity_modifier * trained_opacity;
   if (map.near_fade > 0.0) opacity *= min((p.z - view.clip.x) / map.near_fade, 1.0);
 
-  // Rows of the projection's Jacobian; the tangent is clamped as in training.
+  // Rows of the projection's Jacobian; EWA's tangent is clamped as in training.
   vec3 jx, jy;
   e.centre = view.focal * p.xy / (view.orthographic ? 1.0 : p.z) + view.principal_point;
   if (view.orthographic) {
@@ -132,45 +148,86 @@ Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
     vec2 slack = kTangentSlack * view.whole_picture / view.focal;
     vec2 tangent = clamp(p.xy / p.z, -view.whole_principal_point / view.focal - slack,
                          (view.whole_picture - view.whole_principal_point) / view.focal + slack);
+#ifdef RAYS
+    if (map.model >= kRay) tangent = p.xy / p.z;
+#endif
     jx = vec3(view.focal.x, 0.0, -view.focal.x * tangent.x) / p.z;
     jy = vec3(0.0, view.focal.y, -view.focal.y * tangent.y) / p.z;
   }
 
   // Covariance in the picture: rows of J W R S times their transposes.
   vec3 scale = map.scale_modifier * slotScale(slot);
+#ifdef RAYS
+  if (map.model == kDisc && page.level == kNone) scale.z = 0.0;  // nodes have three scales
+#endif
   if (map.mode == kBillboard) scale = vec3((scale.x + scale.y + scale.z) / 3.0);
   mat3 orientation = rotationMatrix(slotRotation(slot));
   mat3 axes = rotationOf(groups[page.group].to_camera) * orientation;
-  vec3 mx = (jx * axes) * scale;
-  vec3 my = (jy * axes) * scale;
-  vec3 area = cross(mx, my);
-  float a0 = dot(mx, mx), b = dot(mx, my), c0 = dot(my, my);
-  float det0 = dot(area, area);  // of M M^T by Cauchy-Binet: no cancellation for needles
-  float a = a0 + kLowPass, c = c0 + kLowPass;
-  float det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
-  if (map.model == kEwaAntialiased) opacity *= sqrt(det0 / det);
+  vec3 right = (jx * axes) * scale;
+  vec3 down = (jy * axes) * scale;
+  float a, b, c, det, unit = 1.0;
+#ifdef RAYS
+  vec3 ahead = view.orthographic ? vec3(0.0) : vec3(axes[0].z, axes[1].z, axes[2].z) * scale / p.z;
+  e.has_spot = map.model == kDisc;
+  Conic conic = conicOf(right, down, ahead);
+  if (map.model >= kRay) {
+    a = conic.xx;
+    b = conic.xy;
+    c = conic.yy;
+    det = conic.determinant;
+    unit = conic.unit;
+  } else
+#endif
+  {
+    vec3 area = cross(right, down);
+    float a0 = dot(right, right), c0 = dot(down, down);
+    float det0 = dot(area, area);  // of M M^T by Cauchy-Binet: no cancellation for needles
+    a = a0 + kLowPass;
+    b = dot(right, down);
+    c = c0 + kLowPass;
+    det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
+    if (map.model == kEwaAntialiased) opacity *= sqrt(det0 / det);
+  }
   if (!(opacity >= kCutoffAlpha)) return e;
   if (map.kind == kFlat || map.kind == kShaded) opacity = kBallOpacity;
 
   float mid = 0.5 * (a + c), radius = length(vec2(0.5 * (a - c), b));
   float major = mid + radius;
   float minor = det / major;
-  if (!(major < 1e16)) return e;  // beyond any picture, and soon beyond float32
+  if (!(major < kMostVariance && unit < kMostUnit)) return e;
   // Eigenvector of the larger eigenvalue, from whichever row is longer.
   vec2 axis = a > c ? vec2(radius + 0.5 * (a - c), b) : vec2(b, radius + 0.5 * (c - a));
   float norm = length(axis);
   axis = norm > 0.0 ? axis / norm : vec2(1.0, 0.0);
 
+#ifdef RAYS
+  e.major = max(unit * sqrt(major), kLeastLength) * axis;
+  e.minor = max(unit * sqrt(minor), kLeastLength);
+  if (map.model >= kRay) {
+    // On edge, the covariance is all but singular and says little of the tilt along the minor axis, but for its bound.
+    vec2 turned = vec2(-axis.y, axis.x);
+    float along = dot(conic.g, axis) / sqrt(major);
+    float most = sqrt(max(conic.ahead - along * along, 0.0)) / e.minor;
+    e.tilt = clamp(dot(conic.tilt, turned) / unit, -most, most) * turned - along / length(e.major) * axis;
+    e.nearness = conic.nearness;
+  }
+  e.opacity = opacity;
+  if (isOutside(e, right, down, ahead)) {
+    e.opacity = 0.0;
+    return e;
+  }
+#else
   vec2 extent = cutoffSigmas(opacity) * sqrt(vec2(a, c));
   if (!all(greaterThan(e.centre + extent, vec2(0.0))) || !all(lessThan(e.centre - extent, vec2(view.picture)))) {
     return e;
   }
   e.major = sqrt(major) * axis;
   e.minor = sqrt(minor);
+  e.opacity = opacity;
+#endif
   vec3 eye = groups[page.group].eye.xyz;
   vec3 direction = view.orthographic ? eye : normalize(mean - eye);
   e.colour = colour(slot, page.group, p.z, direction, scale, orientation, trained_opacity);
-  e.opacity = opacity;
   return e;
 }
 

@@ -37,31 +37,110 @@ ivec2 groupTile() {
 }
 #endif
 
-// A splat's 1/255 ellipse, as rows of the picture cut it.
+// A splat's 1/255 outline, an ellipse, as rows of the picture cut it.
 struct Outline {
   vec2 centre, reach;  // centre and half size of the rectangle around it [px]
   float half_width;    // of the row through its centre [px]
   float lean;          // how far a row's middle moves right for each pixel down [px]
   float rightmost;     // how far below the centre its rightmost point is, and above it its leftmost [px]
+#ifdef DISCS
+  vec4 spot;  // left, top, right and bottom of a disc's spot; empty where there is none [px]
+#endif
 };
+
+#ifdef RAYS
+// Reaches more than any picture.
+const float kEverywhere = 1e9;
+#endif
+
+#ifdef DISCS
+// The middle of a disc's spot. [px]
+vec2 spotOf(Ellipse e) {
+  EXACTLY vec2 minor = minorAxis(e);
+  EXACTLY vec2 slope = vec2(dot(e.major, e.tilt), dot(minor, e.tilt));
+  EXACTLY float left = 1.0 - (dot(slope, slope) + e.nearness);
+  EXACTLY vec2 pull = slope.x * e.major + slope.y * minor;
+  EXACTLY vec2 middle = abs(left) > kLeastAhead ? e.centre + pull / left : e.centre;
+  return middle;
+}
+#endif
 
 Outline outlineOf(Ellipse e) {
   EXACTLY float sigmas = cutoffSigmas(e.opacity);
   EXACTLY vec2 minor = minorAxis(e);
   EXACTLY vec2 variance = e.major * e.major + minor * minor;
   EXACTLY float covariance = e.major.x * e.major.y + minor.x * minor.y;
+#ifdef RAYS
+  // At `sigmas`, and a little beyond for rounding.
+  EXACTLY float cut = 1.00002 * sigmas * sigmas;
+  EXACTLY vec2 slope = vec2(dot(e.major, e.tilt), dot(minor, e.tilt));
+  EXACTLY float ahead = dot(slope, slope), w = 1.0 - cut * (ahead + e.nearness);
+  EXACTLY vec2 pull = slope.x * e.major + slope.y * minor, centre = e.centre + cut / w * pull;
+  variance = (variance + cut / w * pull * pull) / w;
+  covariance = (covariance + cut / w * pull.x * pull.y) / w;
+  EXACTLY float area = length(e.major) * e.minor * sqrt(1.0 + cut / w * ahead) / w;
+  EXACTLY Outline o = Outline(centre, sigmas * sqrt(variance), sigmas * area / sqrt(variance.y),
+                              covariance / variance.y, sigmas * covariance / sqrt(variance.x)
+#ifdef DISCS
+                              , vec4(kEverywhere, kEverywhere, -kEverywhere, -kEverywhere)
+#endif
+  );
+  if (!(w >= kLeastAhead)) {
+    o.centre = 0.5 * vec2(view.picture);
+    o.reach = vec2(kEverywhere);
+    o.half_width = kEverywhere;
+    o.lean = o.rightmost = 0.0;
+  }
+#ifdef DISCS
+  if (e.has_spot) {
+    EXACTLY vec2 spot = spotOf(e);
+    EXACTLY float reach = sigmas * inversesqrt(kSpot);
+    o.spot = vec4(spot - reach, spot + reach);
+  }
+#endif
+#else
   EXACTLY Outline o =
       Outline(e.centre, sigmas * sqrt(variance), sigmas * length(e.major) * e.minor / sqrt(variance.y),
               covariance / variance.y, sigmas * covariance / sqrt(variance.x));
+#endif
   return o;
 }
 
-// The range of columns that the ellipse may cover in rows from `top` to `bottom` (centres of pixels). [px]
+// The outline as seen from a corner [px].
+Outline seenFrom(Outline o, vec2 corner) {
+  o.centre -= corner;
+#ifdef DISCS
+  o.spot -= corner.xyxy;
+#endif
+  return o;
+}
+
+// The ranges of columns and of rows that an outline covers. [px]
+vec2 columnRange(Outline o) {
+  EXACTLY vec2 range = o.centre.x + vec2(-o.reach.x, o.reach.x);
+#ifdef DISCS
+  range = vec2(min(range.x, o.spot.x), max(range.y, o.spot.z));
+#endif
+  return range;
+}
+
+vec2 rowRange(Outline o) {
+  EXACTLY vec2 range = o.centre.y + vec2(-o.reach.y, o.reach.y);
+#ifdef DISCS
+  range = vec2(min(range.x, o.spot.y), max(range.y, o.spot.w));
+#endif
+  return range;
+}
+
+// The range of columns that the outline may cover in rows from `top` to `bottom` (centres of pixels). [px]
 vec2 across(Outline o, float top, float bottom) {
   EXACTLY vec2 rows = clamp(vec2(top, bottom) - o.centre.y, -o.reach.y, o.reach.y);
   EXACTLY vec2 down = clamp(vec2(-o.rightmost, o.rightmost), rows.x, rows.y);
   EXACTLY vec2 half_width = o.half_width * sqrt(max(1.0 - down * down / (o.reach.y * o.reach.y), 0.0));
   EXACTLY vec2 ends = o.centre.x + o.lean * down + vec2(-half_width.x, half_width.y);
+#ifdef DISCS
+  if (o.spot.y <= bottom && top <= o.spot.w) ends = vec2(min(ends.x, o.spot.x), max(ends.y, o.spot.z));
+#endif
   return ends;
 }
 
@@ -74,11 +153,8 @@ ivec2 cellsIn(vec2 range, float size, int cells) {
   return ivec2(clamp(floor(pixels / size) + vec2(0.0, 1.0), 0.0, float(cells)));
 }
 
-// Rows of cells of so many pixels that the ellipse touches, and columns that it touches in one of them.
-ivec2 rowsOf(Outline o, int height, int rows) {
-  EXACTLY vec2 range = o.centre.y + vec2(-o.reach.y, o.reach.y);
-  return cellsIn(range, float(height), rows);
-}
+// Rows of cells of so many pixels that the outline touches, and columns that it touches in one of them.
+ivec2 rowsOf(Outline o, int height, int rows) { return cellsIn(rowRange(o), float(height), rows); }
 
 ivec2 columnsOf(Outline o, int row, ivec2 size, int columns) {
   float top = float(size.y * row) + 0.5;
@@ -94,7 +170,7 @@ const uint kLargeBox = kNone;
 
 uint boxOf(Outline o) {
   ivec2 rows = tileRows(o);
-  ivec2 columns = cellsIn(o.centre.x + vec2(-o.reach.x, o.reach.x), float(kTile), view.tiles.x);
+  ivec2 columns = cellsIn(columnRange(o), float(kTile), view.tiles.x);
   ivec2 size = ivec2(columns.y - columns.x, rows.y - rows.x);
   if (size.x == 0 || size.y == 0) return 0u;
   if (any(greaterThan(ivec4(size, columns.x, rows.x), ivec4(62, 62, 1023, 1023)))) return kLargeBox;

@@ -29,6 +29,12 @@ shared vec4 forms[kBatch];
 // two loads of 16 bytes: each further load takes a fifth longer.
 shared uvec4 rests[kBatch];
 shared float depths[kBatch];  // in the window
+#ifdef RAYS
+shared vec4 tilts[kBatch];
+#endif
+#ifdef DISCS
+shared vec2 spots[kBatch];  // far away where there is none
+#endif
 #ifdef SHARES
 shared float shares_of[kBatch];
 #endif
@@ -59,18 +65,20 @@ void keepForm(uint k, Ellipse e, ivec2 tile) {
   forms[k] = vec4(x, y, -(x * centre.x + y * centre.y), w);
   rests[k] = uvec4(floatBitsToUint(vec2(-w * centre.y, depth >= 0.0 ? peak : kUnseen)), packedColour(e));
   depths[k] = depth;
+#ifdef RAYS
+  tilts[k] = tiltOf(e, vec2(tile * kTile));
+#endif
+#ifdef DISCS
+  spots[k] = e.has_spot ? spotOf(e) - vec2(tile * kTile) : vec2(kEverywhere);
+#endif
 }
 
 // Notes which parts of a tile a splat of the batch reaches.
 void mark(uint k, Ellipse e, ivec2 tile) {
-  Outline outline = outlineOf(e);
-  outline.centre -= vec2(tile * kTile);
-  ivec2 rows = cellsIn(outline.centre.y + vec2(-outline.reach.y, outline.reach.y), float(kPart.y),
-                       kTile / kPart.y);
+  Outline outline = seenFrom(outlineOf(e), vec2(tile * kTile));
+  ivec2 rows = rowsOf(outline, kPart.y, kTile / kPart.y);
   for (int row = rows.x; row < rows.y; ++row) {
-    float top = float(kPart.y * row) + 0.5;
-    ivec2 columns = cellsIn(across(outline, top, top + float(kPart.y - 1)), float(kPart.x),
-                            kTile / kPart.x);
+    ivec2 columns = columnsOf(outline, row, kPart, kTile / kPart.x);
     for (int column = columns.x; column < columns.y; ++column) {
       atomicOr(reaching[row * (kTile / kPart.x) + column][k / 32u], 1u << (k % 32u));
     }
@@ -116,13 +124,36 @@ void blendBatch(uint part, uint count, vec2 pixel, bool hides, float hidden_from
       colours[s] = unpackedColour(rest.zw);
 #ifdef BALLS
       bool ball = peak >= kFlat2;
-      float falloff = exp2((ball ? 0.0 : peak) - u * u - v * v);
+      float top = ball ? 0.0 : peak;
+#else
+      float top = peak;
+#endif
+#ifdef RAYS
+      vec4 tilt = tilts[k];
+      float square = u * u + v * v, along = alongRay(tilt, pixel);
+#ifdef DEPTHS
+      float depth = colours[s].x;
+      colours[s].x *= depthOnRay(tilt, along, square);
+#endif
+      square = squareOfRay(tilt, along, square);
+#ifdef DISCS
+      float in_spot = squareInSpot(pixel - spots[k]);
+#ifdef DEPTHS
+      if (in_spot < square) colours[s].x = depth;
+#endif
+      square = min(square, in_spot);
+#endif
+      float falloff = exp2(top - square);
+#else
+      float falloff = exp2(top - u * u - v * v);
+#endif
+#ifdef BALLS
       float alpha = ball ? float(falloff >= kBallEdge) : min(kMaxAlpha, falloff);
 #ifndef DEPTHS
       if (peak == kShaded2) colours[s] *= falloff;
 #endif
 #else
-      float alpha = min(kMaxAlpha, exp2(peak - u * u - v * v));
+      float alpha = min(kMaxAlpha, falloff);
 #endif
       bool seen = first + s < count && alpha >= kCutoffAlpha;
 #ifdef SHARES

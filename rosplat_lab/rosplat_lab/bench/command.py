@@ -209,7 +209,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--variants", nargs="+", default=[], metavar="NAME",
         help="of what frame draws: default, tiles, processor, 'float blending', translucent, "
-        f"'four maps', or another renderer: {', '.join(RENDERERS)}; of levels: card, processor",
+        f"'four maps', ray, disc, or another renderer: {', '.join(RENDERERS)}; of levels: card, "
+        "processor",
     )  # fmt: skip
     parser.add_argument(
         "--displays", type=Path, nargs="+", default=[], metavar="FILE",

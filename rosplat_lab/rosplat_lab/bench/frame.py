@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera, Place, place
+from rosplat_core.models import Model
 from rosplat_core.scenes import ROOMS
 from rosplat_core.splats import SceneError, Splats
 from rosplat_lab import machine
@@ -44,6 +45,11 @@ class Variant:
     translucent: bool = False
     maps: int = 1
 
+    @property
+    def has_truth(self) -> bool:
+        """Whether the reference draws it. That knows no box, and draws maps in their own model."""
+        return not self.translucent and "model" not in self.settings
+
 
 def variants() -> dict[str, Variant]:
     """Variants of the display's renderer, by name. Each of its rasterisers is one."""
@@ -57,6 +63,8 @@ def variants() -> dict[str, Variant]:
         # A box amid the splats, before some, behind others.
         "translucent": Variant(translucent=True),
         "four maps": Variant(maps=4),
+        # The same map, as if it had been trained so.
+        **{str(model): Variant({"model": model}) for model in (Model.RAY, Model.DISC)},
     }
 
 
@@ -252,7 +260,7 @@ def _scene(
                 yield from bench.frames(
                     plan.budget, cameras, orders, order, labels | {"order": kind}
                 )
-            if not drawn.translucent:  # the reference knows no box
+            if drawn.has_truth:
                 bench.use(drawn.settings)
                 found = truths.psnr(bench.exact(cameras[0]), told[look])
                 yield Measurement.of("PSNR", "dB", found, **labels)

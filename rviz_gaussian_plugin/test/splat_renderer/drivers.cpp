@@ -110,6 +110,20 @@ TEST_F(SplatRendererTest, GivesAnyDriverShadersThatConform) {
     }
   }
   gl::dropErrors();
+  {  // what only pictures of other models need
+    const Disguise disguise(GLint64{1} << 27, 0);
+    SplatScene scene(shaders({"void main() {", "void main() {  // noted\n"}));
+    fill(scene);
+    for (const Model model : {Model::kRay, Model::kDisc}) {
+      for (const char* detail : {"full", "5px"}) {
+        RenderSettings settings = detailed(detail, Rasterizer::kTiles);
+        settings.model = model;
+        cutPicture(scene, settings);
+        scene.readDepth();
+        SplatScene::drawPick({{&scene, "view", settings, camera()}}, Canvas::kNone, 0);
+      }
+    }
+  }
   const auto count = [](const std::string& text) {
     return std::count_if(Disguise::noted.begin(), Disguise::noted.end(), [&](const auto& shader) {
       return shader.first.find(text) != std::string::npos;
@@ -117,6 +131,7 @@ TEST_F(SplatRendererTest, GivesAnyDriverShadersThatConform) {
   };
   EXPECT_GT(count("#define PARTS 1\n"), 20);
   EXPECT_GT(count("#define PARTS 4\n"), 15);
+  EXPECT_GT(count("#define DISCS\n"), 5);
   EXPECT_EQ(count("#define SUBGROUPS\n"), 6);
   const std::string prefix = testing::TempDir() + "rosplat_" + std::to_string(getpid()) + "_";
   std::string command = "glslangValidator";

@@ -111,7 +111,7 @@ TEST_F(SplatRendererTest, DrawsTheSameOutOfSmallBuffers) {
   const auto depths = whole.readDepth();
   const auto expected_picks = picked(whole, largeCamera());
   const auto buffersOf = [](std::size_t splats) {
-    return Disguise(static_cast<GLint64>(splats * Shaders::kEllipseBytes), 0);
+    return Disguise(static_cast<GLint64>(splats * Shaders::ellipseBytes(Shapes::kEllipses)), 0);
   };
   // In two parts; and in four, which leave no room for the lists of all tiles.
   for (const std::size_t parts : {2u, 4u}) {
@@ -130,7 +130,8 @@ TEST_F(SplatRendererTest, DrawsTheSameOutOfSmallBuffers) {
 
 // Lists that find no room are made region by region; as soon as they find it, at once.
 TEST_F(SplatRendererTest, DrawsInRegionsWhereListsAreTooMuch) {
-  const Disguise disguise(static_cast<GLint64>(kSplats / 4 * Shaders::kEllipseBytes), 0);
+  const Disguise disguise(
+      static_cast<GLint64>(kSplats / 4 * Shaders::ellipseBytes(Shapes::kEllipses)), 0);
   SplatScene scene(shaders());
   scene.apply(manySplats(0.08f).batch(1, {}));
   picture(scene, Rasterizer::kTiles, OrderSource::kAuto);  // what isn't called yet isn't counted
@@ -158,7 +159,8 @@ TEST_F(SplatRendererTest, DrawsInRegionsWhereListsAreTooMuch) {
 
 // Where a single macro tile has more than there is memory for.
 TEST_F(SplatRendererTest, SaysThatSplatsAreLeftOut) {
-  const Disguise disguise(static_cast<GLint64>(kSplats / 4 * Shaders::kEllipseBytes), 0);
+  const Disguise disguise(
+      static_cast<GLint64>(kSplats / 4 * Shaders::ellipseBytes(Shapes::kEllipses)), 0);
   SplatScene scene(shaders());
   const auto see = [&](float size) {
     scene.apply(manySplats(size).batch(1, {}));
@@ -364,7 +366,8 @@ TEST_F(SplatRendererTest, DrawsAllTheSameInRegions) {
   const auto expected = pictures(whole);
   EXPECT_NE(expected[2], expected[0]);  // divided
   // One that leaves no room for the lists of all tiles.
-  const Disguise disguise(static_cast<GLint64>(kSplats / 2 * Shaders::kEllipseBytes), 0);
+  const Disguise disguise(
+      static_cast<GLint64>(kSplats / 2 * Shaders::ellipseBytes(Shapes::kEllipses)), 0);
   SplatScene scene(shaders());
   scene.apply(batch);
   const auto found = pictures(scene);

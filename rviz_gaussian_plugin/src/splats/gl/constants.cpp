@@ -4,6 +4,7 @@
 #include <cstdio>
 
 #include "rosplat_core/slots/constants.hpp"
+#include "rosplat_core/views/conic.hpp"
 
 namespace rosplat {
 
@@ -40,6 +41,10 @@ std::string constantsInGlsl() {
   MODE(kAge);
   MODE(kChannel);
   MODEL(kEwaAntialiased);
+  MODEL(kRay);
+  MODEL(kDisc);
+  CONSTANT(kSpot);
+  CONSTANT(kLeastAhead);
   CONSTANT(kNoColours);
   CONSTANT(kCategories);
   CONSTANT(kPageSlots);

@@ -1,6 +1,7 @@
 #include "gl/shaders.hpp"
 
 #include <algorithm>
+#include <limits>
 
 #include "gl/buffer.hpp"
 #include "gl/constants.hpp"
@@ -33,18 +34,20 @@ int subgroupSize() {
 
 Shaders::Shaders(ShaderSource source)
     : source_(std::move(source)), groups_wait_(gl::accelerated()), warp_(subgroupSize()) {
-  // A picture may show several maps of kMaxSlots.
-  constexpr std::size_t kMost = kEllipseParts * kMaxSlots;
-  part_size_ = std::min<std::size_t>(gl::largestStorageBuffer() / kEllipseBytes, kMost);
-  parts_ = part_size_ >= kMaxSlots ? 1 : kEllipseParts;
+  constexpr std::size_t kMost = std::numeric_limits<GLuint>::max();
+  part_bytes_ = std::min(gl::largestStorageBuffer(), kMost);
+  parts_ = partSize(Shapes::kDiscs) >= kMaxSlots ? 1 : kEllipseParts;
 }
 
 std::string Shaders::text(const Stage& stage) const {
   std::string text = "#version 430\n" + stage.extensions;
   text += "#define PARTS " + std::to_string(parts_) + "\n";
-  text += "#define PART_SIZE " + std::to_string(part_size_) + "u\n";
+  text += "#define PART_BYTES " + std::to_string(part_bytes_) + "u\n";
   if (stage.stage == GL_COMPUTE_SHADER) text += "#define COMPUTE\n";
+  if (stage.shapes >= Shapes::kRays) text += "#define RAYS\n";
+  if (stage.shapes >= Shapes::kDiscs) text += "#define DISCS\n";
   text += constantsInGlsl() + source_("splat_common.glsl") + source_("splat_view.glsl");
+  if (stage.shapes > Shapes::kEllipses) text += source_("splat_conic.glsl");
   for (const char* file : stage.files) text += "\n#line 1\n" + source_(file);
   return text;
 }
@@ -52,7 +55,7 @@ std::string Shaders::text(const Stage& stage) const {
 const gl::Program& Shaders::program(std::initializer_list<Stage> stages) {
   std::string key;
   for (const Stage& stage : stages) {
-    key += stage.extensions;
+    key += stage.extensions + std::to_string(static_cast<int>(stage.shapes)) + " ";
     for (const char* file : stage.files) key += std::string(file) + " ";
   }
   if (const auto found = programs_.find(key); found != programs_.end()) return found->second;
@@ -66,8 +69,8 @@ const gl::Program& Shaders::program(std::initializer_list<Stage> stages) {
   return programs_.emplace(std::move(key), std::move(program)).first->second;
 }
 
-const gl::Program& Shaders::compute(const Files& files) {
-  return program({{GL_COMPUTE_SHADER, "", files}});
+const gl::Program& Shaders::compute(const Files& files, Shapes shapes) {
+  return program({{GL_COMPUTE_SHADER, "", files, shapes}});
 }
 
 const gl::Program& Shaders::computeInWarps(const Files& files, int lanes, bool in_subgroups) {

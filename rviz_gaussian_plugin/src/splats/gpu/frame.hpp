@@ -4,6 +4,7 @@
 #include <array>
 #include <vector>
 
+#include "gl/shaders.hpp"
 #include "gl/stopwatch.hpp"
 #include "gpu/node_store.hpp"
 #include "gpu/slot_store.hpp"
@@ -24,6 +25,13 @@ struct FrameLayer {
   const RenderSettings& settings;
   double error = 0;  // width up to which nodes stand for splats, 0: no nodes [px]
 
+  Model model() const { return settings.drawnModel(map.model); }
+  Shapes shapes() const {
+    const Model drawn = model();
+    return drawn == Model::kDisc  ? Shapes::kDiscs
+           : drawn == Model::kRay ? Shapes::kRays
+                                  : Shapes::kEllipses;
+  }
   bool cuts() const { return nodes && error > 0; }
   // seen_from: the camera in the frame of a group; origin: that of the group.
   Cut cut(const SplatCamera& seen_from, const std::array<double, 3>& origin) const {
@@ -42,6 +50,11 @@ struct Frame {
   gl::Stopwatch& stopwatch;
 
   const SplatCamera& camera() const { return layers.front().camera; }
+  Shapes shapes() const {
+    Shapes most = Shapes::kEllipses;
+    for (const FrameLayer& layer : layers) most = std::max(most, layer.shapes());
+    return most;
+  }
   bool cuts() const {
     return std::any_of(layers.begin(), layers.end(),
                        [](const auto& layer) { return layer.cuts(); });

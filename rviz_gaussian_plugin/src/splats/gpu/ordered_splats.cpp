@@ -21,7 +21,7 @@ OrderedSplats::OrderedSplats(Shaders& shaders, RadixSort& sort, const Tallies& t
 bool OrderedSplats::answers(const Frame& frame) const {
   const auto same = [](const Prepared& prepared, const FrameLayer& layer) {
     return prepared.camera == layer.camera && prepared.settings.projectsAs(layer.settings) &&
-           prepared.model == layer.map.model && prepared.version == layer.store.version() &&
+           prepared.model == layer.model() && prepared.version == layer.store.version() &&
            prepared.error == layer.error &&
            layer.settings.mode != DrawMode::kAge;  // ages change with time
   };
@@ -36,7 +36,7 @@ void OrderedSplats::prepare(const Frame& frame) {
   std::size_t slots = 0;
   for (const FrameLayer& layer : frame.layers) {
     prepared_.push_back(
-        {layer.camera, layer.settings, layer.map.model, layer.store.version(), layer.error});
+        {layer.camera, layer.settings, layer.model(), layer.store.version(), layer.error});
     slots += layer.store.slots();
   }
   if (order_ != frame.order) takeOrder(frame.order);
@@ -46,6 +46,7 @@ void OrderedSplats::prepare(const Frame& frame) {
     drawn_.release();
     room = std::max(room, withSlack(visible_));
   }
+  projection_.prepare(frame.shapes());
   projection_.reserve(room);
   sort_.reserve(projection_.room());
   projection_.run(frame, sort_.keys());

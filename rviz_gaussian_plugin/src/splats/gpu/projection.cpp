@@ -27,27 +27,31 @@ void bindLevels(const gl::Program& program, const SlotArenas::Arena& arena) {
 }  // namespace
 
 Projection::Projection(Shaders& shaders, const Tallies& tallies)
-    : cull_(shaders.compute({"splat_map.glsl", "splat_slot.glsl", "splat_groups.glsl",
+    : shaders_(shaders),
+      cull_(shaders.compute({"splat_map.glsl", "splat_slot.glsl", "splat_groups.glsl",
                              "splat_pages.glsl", "splat_cut.glsl", "splat_visible.glsl",
                              "splat_counts.glsl", "splat_cull.comp"})),
-      project_(shaders.compute({"splat_map.glsl", "splat_slot.glsl", "splat_groups.glsl",
-                                "splat_pages.glsl", "splat_cut.glsl", "splat_visible.glsl",
-                                "splat_counts.glsl", "splat_ellipses.glsl", "splat_tiles.glsl",
-                                "splat_project.comp"})),
-      part_size_(shaders.partSize()),
-      most_(shaders.mostEllipses()),
+      project_(shaders,
+               {"splat_map.glsl", "splat_slot.glsl", "splat_groups.glsl", "splat_pages.glsl",
+                "splat_cut.glsl", "splat_visible.glsl", "splat_counts.glsl", "splat_ellipses.glsl",
+                "splat_tiles.glsl", "splat_project.comp"}),
       seen_(tallies.of(Tallies::kSeen)) {}
+
+void Projection::prepare(Shapes shapes) {
+  if (Shaders::ellipseBytes(shapes) != Shaders::ellipseBytes(shapes_)) release();
+  shapes_ = shapes;
+}
 
 void Projection::reserve(std::size_t count) {
   if (count <= room_) return;
-  if (count > most_) {
-    throw gl::Error("the graphics driver's buffers hold " + std::to_string(most_) +
+  if (const std::size_t most = shaders_.mostEllipses(shapes_); count > most) {
+    throw gl::Error("the graphics driver's buffers hold " + std::to_string(most) +
                     " visible splats, this view has " + std::to_string(count));
   }
   room_ = 0;  // stays so if memory is lacking
-  for (std::size_t part = 0; part * part_size_ < count; ++part) {
-    ellipses_[part].reserve(std::min(part_size_, count - part * part_size_) *
-                            Shaders::kEllipseBytes);
+  const std::size_t part_size = shaders_.partSize(shapes_), bytes = Shaders::ellipseBytes(shapes_);
+  for (std::size_t part = 0; part * part_size < count; ++part) {
+    ellipses_[part].reserve(std::min(part_size, count - part * part_size) * bytes);
   }
   boxes_.reserve(count * sizeof(GLuint));
   room_ = count;
@@ -143,35 +147,36 @@ void Projection::bindMap(const PageTable::Range& range) const {
 }
 
 void Projection::project(const Frame& frame, const gl::Buffer& keys) {
-  project_.use();
-  project_.set("room", static_cast<GLuint>(room_));
-  project_.set("first_share", static_cast<GLuint>(shares_begin_ / sizeof(GLuint)));
-  bindEllipses(project_);
-  bindVisible(project_);
-  counts_.bind(project_);
-  project_.set("groups_of_slots", static_cast<GLuint>(slotWords() / kGroupWords));
-  project_.bind("Keys", keys);
-  project_.bind("Seen", seen_);
-  project_.bind("Boxes", boxes_);
-  project_.bind("Groups", groups_);
-  project_.bind("Pages", pages_.table());
+  const gl::Program& program = project_.of(shapes_);
+  program.use();
+  program.set("room", static_cast<GLuint>(room_));
+  program.set("first_share", static_cast<GLuint>(shares_begin_ / sizeof(GLuint)));
+  bindEllipses(program);
+  bindVisible(program);
+  counts_.bind(program);
+  program.set("groups_of_slots", static_cast<GLuint>(slotWords() / kGroupWords));
+  program.bind("Keys", keys);
+  program.bind("Seen", seen_);
+  program.bind("Boxes", boxes_);
+  program.bind("Groups", groups_);
+  program.bind("Pages", pages_.table());
   for (const PageTable::Range& range : pages_.ranges()) {
     const FrameLayer& layer = frame.layers[range.layer];
     bindMap(range);
-    project_.bind("Slots", range.arena->slots);
-    bindLevels(project_, *range.arena);
+    program.bind("Slots", range.arena->slots);
+    bindLevels(program, *range.arena);
     for (int band = 1; band <= kMaxShDegree; ++band) {
       // Shaders don't read bands that the map lacks, but a buffer must be bound.
-      project_.bind(kBands[band],
-                    band <= layer.store.shDegree() ? range.arena->bands[band] : range.arena->slots);
+      program.bind(kBands[band],
+                   band <= layer.store.shDegree() ? range.arena->bands[band] : range.arena->slots);
     }
     if (layer.settings.mode == DrawMode::kChannel) {
       const std::size_t channel = colouringOf(layer.map.channels, layer.settings).channel;
       if (channel < layer.store.channels()) {
-        project_.bind(kBands[1], range.arena->channels[channel]);
+        program.bind(kBands[1], range.arena->channels[channel]);
       }
     }
-    project_.set("first_entry", static_cast<GLuint>(range.first));
+    program.set("first_entry", static_cast<GLuint>(range.first));
     gl::dispatchInvocations(range.count * SlotPage::kSlots);
   }
   gl::storageBarrier();

@@ -23,6 +23,9 @@ class Projection {
  public:
   Projection(Shaders& shaders, const Tallies& tallies);
 
+  // What splats are projected to from now on.
+  void prepare(Shapes shapes);
+  Shapes shapes() const { return shapes_; }
   // Makes room for so many visible splats. Throws gl::Error where the driver has none.
   void reserve(std::size_t count);
   std::size_t room() const { return room_; }
@@ -54,8 +57,10 @@ class Projection {
   void bindMap(const PageTable::Range& range) const;
 
   PageTable pages_;
-  const gl::Program &cull_, &project_;
-  std::size_t part_size_, most_;
+  Shaders& shaders_;
+  const gl::Program& cull_;
+  ShapedProgram project_;
+  Shapes shapes_ = Shapes::kEllipses;
   gl::Buffer groups_, maps_;  // as splat_groups.glsl and splat_map.glsl have them
   gl::Buffer visible_;
   GroupCounts counts_;  // of visible slots

@@ -5,8 +5,8 @@
 namespace rosplat {
 
 SplatPicker::SplatPicker(Shaders& shaders)
-    : pick_(shaders.compute({"splat_visible.glsl", "splat_ellipses.glsl", "splat_tiles.glsl",
-                             "splat_depth.glsl", "splat_pick.comp"})),
+    : pick_(shaders, {"splat_visible.glsl", "splat_ellipses.glsl", "splat_tiles.glsl",
+                      "splat_depth.glsl", "splat_pick.comp"}),
       colour_(shaders.draw({"splat_composite.vert"}, {"splat_pick.frag"})) {}
 
 void SplatPicker::begin(const OrderedSplats& splats, const gl::Target& target, bool top_first) {
@@ -22,14 +22,15 @@ void SplatPicker::begin(const OrderedSplats& splats, const gl::Target& target, b
 
 void SplatPicker::pick(const OrderedSplats& splats, const TileRasterizer& lists,
                        const gl::Target& target) {
-  pick_.use();
-  splats.projection().bindEllipses(pick_);
-  splats.projection().bindVisible(pick_);
-  pick_.set("words", static_cast<GLuint>(splats.projection().slotWords()));
-  pick_.bind("Picked", picked_);
+  const gl::Program& program = pick_.of(splats.projection().shapes());
+  program.use();
+  splats.projection().bindEllipses(program);
+  splats.projection().bindVisible(program);
+  program.set("words", static_cast<GLuint>(splats.projection().slotWords()));
+  program.bind("Picked", picked_);
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.depth());
-  lists.dispatchTiles(pick_);
+  lists.dispatchTiles(program);
   gl::storageBarrier();
 }
 

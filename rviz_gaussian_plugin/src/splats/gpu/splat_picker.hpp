@@ -31,7 +31,8 @@ class SplatPicker {
   std::size_t bytes() const { return picked_.bytes(); }
 
  private:
-  const gl::Program &pick_, &colour_;
+  ShapedProgram pick_;
+  const gl::Program& colour_;
   gl::Buffer picked_;  // numbers of slots, as PageTable has them
   // PageTable::firstSlots() and layerBegins(), as begin() found them.
   std::vector<std::uint32_t> first_slots_;

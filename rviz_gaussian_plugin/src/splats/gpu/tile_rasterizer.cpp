@@ -46,24 +46,24 @@ TileRasterizer::Wanted mostRoom() {
 }
 
 // Returns the program that blends tiles. of: the files that say what kinds of splats it blends.
-const gl::Program& blender(Shaders& shaders, std::initializer_list<const char*> of) {
-  std::vector<const char*> files{"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
-                                 "splat_colour.glsl"};
+ShapedProgram blender(Shaders& shaders, std::initializer_list<const char*> of) {
+  Shaders::Files files{"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl",
+                       "splat_colour.glsl"};
   files.insert(files.end(), of);
   files.push_back("tile_blend.comp");
-  return shaders.compute(files);
+  return {shaders, files};
 }
 
 }  // namespace
 
 TileRasterizer::TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies& tallies)
-    : count_(shaders.compute({"splat_ellipses.glsl", "splat_exactly.glsl", "splat_tiles.glsl",
-                              "tile_segments.glsl", "macro_tiles.glsl", "splat_counts.glsl",
-                              "macro_count.comp"})),
-      list_macros_(shaders.compute({"splat_ellipses.glsl", "splat_exactly.glsl", "splat_tiles.glsl",
-                                    "macro_tiles.glsl", "splat_counts.glsl", "macro_list.comp"})),
-      touch_(shaders.compute(
-          {"splat_ellipses.glsl", "splat_tiles.glsl", "tile_touching.glsl", "tile_touch.comp"})),
+    : count_(shaders,
+             {"splat_ellipses.glsl", "splat_exactly.glsl", "splat_tiles.glsl", "tile_segments.glsl",
+              "macro_tiles.glsl", "splat_counts.glsl", "macro_count.comp"}),
+      list_macros_(shaders, {"splat_ellipses.glsl", "splat_exactly.glsl", "splat_tiles.glsl",
+                             "macro_tiles.glsl", "splat_counts.glsl", "macro_list.comp"}),
+      touch_(shaders,
+             {"splat_ellipses.glsl", "splat_tiles.glsl", "tile_touching.glsl", "tile_touch.comp"}),
       place_(shaders.compute(
           {"splat_tiles.glsl", "tile_touching.glsl", "tile_segments.glsl", "tile_places.comp"})),
       list_(shaders.compute({"splat_tiles.glsl", "tile_touching.glsl", "tile_list.comp"})),
@@ -189,16 +189,18 @@ void TileRasterizer::listMacroPairs(const OrderedSplats& splats) {
     program.set("region", regions_.region());
   };
   counts_.begin(ceilDiv(splats.most(), kListed));
-  begin(count_);
-  count_.bind("Boxes", splats.projection().boxes());
-  count_.bind("Segments", segments_);
-  count_.bind("Wanted", wanted_);
+  const Shapes shapes = splats.projection().shapes();
+  const gl::Program &count = count_.of(shapes), &list_macros = list_macros_.of(shapes);
+  begin(count);
+  count.bind("Boxes", splats.projection().boxes());
+  count.bind("Segments", segments_);
+  count.bind("Wanted", wanted_);
   gl::dispatch(work_groups);
   gl::storageBarrier();
-  begin(list_macros_);
-  list_macros_.bind("Keys", sort_.keys());
-  list_macros_.bind("Splats", sort_.values(macroBits(), splats_));
-  list_macros_.set("room", static_cast<GLuint>(room_.macro_pairs));
+  begin(list_macros);
+  list_macros.bind("Keys", sort_.keys());
+  list_macros.bind("Splats", sort_.values(macroBits(), splats_));
+  list_macros.set("room", static_cast<GLuint>(room_.macro_pairs));
   gl::dispatch(work_groups);
   gl::storageBarrier();
 }
@@ -208,9 +210,10 @@ void TileRasterizer::listByTiles(const OrderedSplats& splats) {
   const std::size_t expected = likely(expected_, room_.macro_pairs);
   const std::size_t blocks = std::max<std::size_t>(ceilDiv(expected, kBlockSplats), 1);
   sort_.sort(macro_pairs_, expected, macroBits(), splats_);
-  touch_.use();
-  splats.projection().bindEllipses(touch_);
-  bindTouching(touch_);
+  const gl::Program& touch = touch_.of(splats.projection().shapes());
+  touch.use();
+  splats.projection().bindEllipses(touch);
+  bindTouching(touch);
   gl::dispatch(blocks);
   gl::storageBarrier();
   place_.use();
@@ -243,22 +246,21 @@ void TileRasterizer::bindTouching(const gl::Program& program) const {
 void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target,
                            const gl::Target* behind) {
   const bool shares = splats.projection().hasShares();
+  const Shapes shapes = splats.projection().shapes();
   if (!behind) {
-    return blendInSegments(shares              ? blend_shares_
-                           : splats.hasBalls() ? blend_balls_
-                                               : blend_,
-                           splats, target);
+    const ShapedProgram& blend = shares ? blend_shares_ : splats.hasBalls() ? blend_balls_ : blend_;
+    return blendInSegments(blend.of(shapes), splats, target);
   }
   glActiveTexture(GL_TEXTURE1);
   glBindTexture(GL_TEXTURE_2D, behind->depth());
   glBindImageTexture(1, behind->color(), 0, GL_FALSE, 0, GL_WRITE_ONLY, behind->format());
   glBindImageTexture(2, behind->second(), 0, GL_FALSE, 0, GL_WRITE_ONLY, GL_RG32F);
-  blendTiles(shares ? blend_shares_divided_ : blend_divided_, splats, target);
+  blendTiles((shares ? blend_shares_divided_ : blend_divided_).of(shapes), splats, target);
   glMemoryBarrier(kReadNext);
 }
 
 void TileRasterizer::blendDepth(const OrderedSplats& splats, const gl::Target& target) {
-  blendInSegments(blend_depths_, splats, target);
+  blendInSegments(blend_depths_.of(splats.projection().shapes()), splats, target);
 }
 
 void TileRasterizer::blendInSegments(const gl::Program& program, const OrderedSplats& splats,

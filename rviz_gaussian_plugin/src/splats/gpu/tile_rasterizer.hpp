@@ -79,9 +79,10 @@ class TileRasterizer {
   void blendTiles(const gl::Program& program, const OrderedSplats& splats,
                   const gl::Target& target) const;
 
-  const gl::Program &count_, &list_macros_, &touch_, &place_, &list_, &composite_;
-  const gl::Program &blend_, &blend_balls_, &blend_divided_, &blend_shares_, &blend_shares_divided_;
-  const gl::Program& blend_depths_;
+  ShapedProgram count_, list_macros_, touch_;
+  const gl::Program &place_, &list_, &composite_;
+  ShapedProgram blend_, blend_balls_, blend_divided_, blend_shares_, blend_shares_divided_;
+  ShapedProgram blend_depths_;
   RadixSort& sort_;
   const Tallies& tallies_;
   gl::Slice macro_pairs_, wanted_;

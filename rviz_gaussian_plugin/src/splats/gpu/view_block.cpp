@@ -59,7 +59,7 @@ MapBlock::MapBlock(const FrameLayer& layer) {
   opacity_modifier = settings.opacity;
   sh_degree = std::min(layer.store.shDegree(), settings.max_sh_degree);
   only_band = settings.only_band;
-  model = static_cast<int>(settings.drawnModel(layer.map.model));
+  model = static_cast<std::int32_t>(layer.model());
   age_range = settings.age_range;
   const Cut shares = layer.cut(layer.camera, {});
   cut = layer.cuts();
