@@ -27,10 +27,11 @@ class Request(NamedTuple):
 
 @dataclass
 class Step:
-    """What to do now: batches to apply in turn, and a request to send."""
+    """What to do now: batches to apply in turn, a request to send, whether to subscribe anew."""
 
     batches: list[tuple[Any, Arrival]] = field(default_factory=list)
     request: Request | None = None
+    subscribe_anew: bool = False
 
 
 class Pull:
@@ -49,8 +50,11 @@ class Pull:
     def hear(self, of: Label, batch: Any, now: float, served: bool) -> Step:
         return _step(self._pull.hear((*of, batch), now, served))
 
-    def miss(self, of: Label) -> None:
-        self._pull.miss((*of, None))
+    def miss(self, of: Label, now: float) -> None:
+        self._pull.miss((*of, None), now)
+
+    def subscribed_anew(self, now: float) -> None:
+        self._pull.subscribed_anew(now)
 
     def lose(self, now: float) -> None:
         self._pull.lose(now)
@@ -67,5 +71,5 @@ class Pull:
 
 
 def _step(result: Any) -> Step:
-    batches, request = result
-    return Step(batches, Request(*request) if request else None)
+    batches, request, subscribe_anew = result
+    return Step(batches, Request(*request) if request else None, subscribe_anew)

@@ -133,7 +133,7 @@ class Receiver:
         what = self._random.integers(5)
         self._pull.hold(loses)
         if what <= 1 and self.coming and loses:  # there is no room
-            self._pull.miss(label(self.coming.popleft()))
+            self._pull.miss(label(self.coming.popleft()), self._now)
         elif what <= 1 and self.coming:
             message = self.coming.popleft()
             self._do(self._pull.hear(label(message), message, self._now, served))

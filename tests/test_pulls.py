@@ -189,7 +189,7 @@ def test_changes_with_a_gap_end_no_pull() -> None:
 def test_what_there_was_no_room_for_is_pulled_once_there_is() -> None:
     pull, request = beginning()
     pull.hold(True)
-    pull.miss(Label("map", 6, False))
+    pull.miss(Label("map", 6, False), 1.1)
     step = pull.answer(request.number, [part(5)], 0, 1.2, True)
     assert step == Step([("pulled 5", Arrival.LAST)])
     assert not pull.tick(2.0, True).request
@@ -198,7 +198,7 @@ def test_what_there_was_no_room_for_is_pulled_once_there_is() -> None:
     assert (request.after_revision, request.first_block) == (5, 0)
     step = pull.answer(request.number, [part(6)], 0, 2.2, True)
     assert step == Step([("pulled 6", Arrival.LAST)])
-    pull.miss(Label("another", 1, True))  # of a map that begins
+    pull.miss(Label("another", 1, True), 2.3)  # of a map that begins
     request = pull.tick(3.0, True).request
     assert (request.map_id, request.after_revision) == ("another", 0)
 
@@ -254,6 +254,77 @@ def test_what_is_heard_overtakes_an_answer_that_nothing_got_lost() -> None:
     assert pull.hear(Label("map", 2, False), "two", 2.2, True).batches == [("two", Arrival.HEARD)]
     assert pull.answer(request.number, [part(1)], 0, 2.3, True) == Step()
     assert not pull.pulling
+
+
+def lacking() -> Pull:
+    """A receiver that missed revisions 4 and 5 of 8, where nobody serves pulls."""
+    pull = Pull()
+    for revision in (1, 2, 3, 6, 7, 8):
+        step = pull.hear(Label("map", revision, revision == 1), revision, 0.1 * revision, False)
+        assert step.batches == [(revision, Arrival.HEARD)]
+    return pull
+
+
+def again(pull: Pull, revisions: Iterable[int], now: float) -> list[tuple[Any, Arrival]]:
+    """What a receiver takes of revisions that come once more."""
+    steps = (pull.hear(Label("map", r, r == 1), r, now, False) for r in revisions)
+    return [batch for step in steps for batch in step.batches]
+
+
+def test_what_nobody_answers_for_is_looked_for_once_in_the_history() -> None:
+    pull = lacking()
+    asked = [now for now in np.arange(0.9, 60.0, 0.1) if pull.tick(now, False).subscribe_anew]
+    assert len(asked) == 1
+    assert 2 < asked[0] < 5
+    pull.subscribed_anew(asked[0])
+    taken = again(pull, range(2, 9), asked[0] + 1.0)
+    pulled, last = Arrival.PULLED, Arrival.LAST
+    assert taken == [(4, pulled), (5, pulled), (6, pulled), (7, pulled), (8, last)]
+    assert again(pull, [9], asked[0] + 1.1) == [(9, Arrival.HEARD)]
+    assert again(pull, [11], asked[0] + 1.1) == [(11, Arrival.HEARD)]  # 10 is missing
+    later = [now for now in np.arange(60.0, 90.0, 0.1) if pull.tick(now, False).subscribe_anew]
+    assert len(later) == 1
+
+
+def test_a_history_from_its_beginning_is_taken_whole() -> None:
+    pull = lacking()
+    pull.subscribed_anew(1.0)
+    assert again(pull, range(1, 9), 1.1) == [(r, Arrival.HEARD) for r in range(1, 9)]
+    assert not any(pull.tick(now, False).subscribe_anew for now in np.arange(1.2, 20.0, 0.1))
+
+
+def test_a_history_without_what_is_missing_changes_nothing() -> None:
+    pull = lacking()
+    pull.subscribed_anew(1.0)
+    assert again(pull, range(6, 9), 1.1) == []
+    assert again(pull, [9], 1.2) == [(9, Arrival.HEARD)]
+
+
+def test_a_history_that_nothing_is_missing_of_is_no_map_that_begins_anew() -> None:
+    pull = Pull()
+    heard = range(1, 9)
+    assert len(again(pull, heard, 0.1)) == 8
+    pull.subscribed_anew(1.0)
+    assert again(pull, heard, 1.1) == []
+    assert again(pull, heard, 10.0) == [(r, Arrival.HEARD) for r in heard]  # a bag in a loop
+
+
+def test_batches_that_come_again_from_a_publisher_with_pulls_cost_what_has_changed() -> None:
+    """As of a publisher that DDS lost and found."""
+    pull = Pull()
+    for revision in range(1, 9):
+        pull.hear(Label("map", revision, revision == 1), revision, 0.1, True)
+    step = pull.hear(Label("map", 5, False), 5, 9.0, True)
+    assert step.batches == []
+    assert (step.request.after_revision, step.request.first_block) == (8, 0)
+    for revision in (6, 7, 8):
+        assert pull.hear(Label("map", revision, False), revision, 9.1, True).batches == []
+    step = pull.answer(step.request.number, [part(8)], 0, 9.2, True)
+    assert step.batches == [("pulled 8", Arrival.LAST)]
+    # Or of one that began anew under the same name.
+    step = pull.hear(Label("map", 2, False), 2, 9.3, True)
+    step = pull.answer(step.request.number, [part(2, replaces=True)], 0, 9.4, True)
+    assert step.batches == [("pulled 2", Arrival.LAST)]
 
 
 def test_who_asks_in_vain_goes_on_asking() -> None:

@@ -18,6 +18,10 @@ GaussianMap = _core.GaussianMap
 MapPull = _core.MapPull
 PublishedBatch = _core.PublishedBatch
 PublishedMap = _core.PublishedMap
+choose_map_qos = _core.choose_map_qos
+
+MapQos = tuple[bool, bool, int]
+"""QoS of a map's topic, offered or asked for: reliable, transient local, depth."""
 
 REPLACE, UPSERT, DELETE, MOVE = range(4)  # operations of a batch, as in GaussianArray
 

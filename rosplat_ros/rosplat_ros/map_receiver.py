@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from copy import copy
-from enum import Enum
 from threading import RLock
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node, NodeNameNonExistentError
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from rosplat_core.log_text import shown
-from rosplat_core.maps import Arrival, MapPull
+from rosplat_core.maps import Arrival, MapPull, MapQos, choose_map_qos
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap
 from rosplat_ros.batches import array_bytes
 from rosplat_ros.program.mistakes import type_name
-from rosplat_ros.qos import MAP, SERVED_MAP, overridable
+from rosplat_ros.qos import MAP, overridable
 
 WATCH_PERIOD = 1.0  # [s]
 PULL_PERIOD = 0.1  # [s]
@@ -32,17 +30,14 @@ PULL_PERIOD = 0.1  # [s]
 class MapReceiver:
     """Hears the publishers of a map's topic, and pulls what is missing from their servers.
 
-    A transient local subscription doesn't match a volatile publisher, nor a reliable one a best
-    effort publisher. So the subscription asks for less where all publishers offer less, or where
-    pulls are known to be served when it begins. It never hears a batch twice, which would take the
-    map back to that batch.
+    The subscription asks for what `choose_map_qos` says of the publishers, and begins anew when
+    that changes. `MapPull` tells batches that come again from a map that is played again.
     """
 
     def __init__(
         self,
         node: Node,
         on_batch: Callable[[GaussianArray, Arrival], None],
-        callback_group: CallbackGroup | None = None,
         *,
         busy: Callable[[], bool] = lambda: False,
         most_sh_degree: int = 3,
@@ -50,26 +45,29 @@ class MapReceiver:
         """Subscribes to `gaussians`. on_batch is called for one batch at a time, whatever threads
         the node has.
 
-        busy: whether there is no room for batches. They are dropped then, and pulled later.
-        most_sh_degree: pulled batches have no harmonics above this degree.
+        busy: whether there is no room for batches. Those that can be pulled later are dropped then,
+        but for a REPLACE; others wait in the middleware. most_sh_degree: pulled batches have no
+        harmonics above this degree.
         """
-        self._node, self._on_batch, self._group, self._busy = node, on_batch, callback_group, busy
+        self._node, self._on_batch, self._busy = node, on_batch, busy
         self._most_sh_degree = most_sh_degree
         self.topic = node.resolve_topic_name("gaussians")
-        self._mixed: set[str] = set()  # policies in which publishers differ
+        self._unheard: set[str] = set()  # policies that keep a publisher from being heard
         self._maps = ("", "")  # the last batch's map_id, and the other one before that
         self._pull = MapPull()
-        self._lock = RLock()  # answers to requests come outside of the callback group
-        self._pulls = self._server_is_known()  # whether it has been since the beginning
-        self._qos = self._qos_for(self._publishers())
+        self._lock = RLock()  # answers to requests come outside of the callback groups
+        group = MutuallyExclusiveCallbackGroup()
         self._client: Client = node.create_client(
-            PullMap, f"{self.topic}/pull", callback_group=callback_group
+            PullMap, f"{self.topic}/pull", callback_group=group
         )
+        self._served = False  # pulls are, or were while there were publishers
         self._asked: dict[int, Future] = {}  # answers to come, by the number of the request
-        self._subscription = self._subscribe()
+        self._qos: MapQos | None = None
+        self._subscription: Subscription | None = None
+        self._meet_publishers()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-        node.create_timer(WATCH_PERIOD, self._meet_publishers, callback_group, steady)
-        node.create_timer(PULL_PERIOD, self._tick, callback_group, steady)
+        node.create_timer(WATCH_PERIOD, self._meet_publishers, group, steady)
+        node.create_timer(PULL_PERIOD, self._tick, group, steady)
 
     @property
     def pulling(self) -> bool:
@@ -83,28 +81,25 @@ class MapReceiver:
         with self._lock:
             self._pull.lose(time.monotonic())
 
-    def _subscribe(self) -> Subscription:
-        return self._node.create_subscription(
+    def _subscribe(self, chosen: MapQos) -> None:
+        """Subscribes, or subscribes anew."""
+        self._qos = reliable, transient_local, depth = chosen
+        qos = QoSProfile(
+            reliability=_RELIABILITY[reliable],
+            durability=_DURABILITY[transient_local],
+            history=HistoryPolicy.KEEP_LAST,
+            depth=depth,
+        )
+        if self._subscription:
+            self._node.destroy_subscription(self._subscription)
+        self._pull.subscribed_anew(time.monotonic())
+        self._subscription = self._node.create_subscription(
             GaussianArray,
             "gaussians",
             self._hear,
-            callback_group=self._group,
-            **overridable(MAP, self._qos),
+            callback_group=_Gate(lambda: self._busy() and not self._is_served()),
+            **overridable(MAP, qos),
         )
-
-    def _publishers(self) -> list[QoSProfile]:
-        """The QoS that the topic's publishers of GaussianArray offer."""
-        known = self._node.get_publishers_info_by_topic(self.topic)
-        ours = type_name(GaussianArray)
-        return [publisher.qos_profile for publisher in known if publisher.topic_type == ours]
-
-    def _qos_for(self, publishers: list[QoSProfile]) -> QoSProfile:
-        qos = copy(SERVED_MAP if self._pulls else MAP)
-        if publishers and all(p.durability != qos.durability for p in publishers):
-            qos.durability = DurabilityPolicy.VOLATILE
-        if publishers and all(p.reliability != qos.reliability for p in publishers):
-            qos.reliability = ReliabilityPolicy.BEST_EFFORT
-        return qos
 
     def _hear(self, message: GaussianArray) -> None:
         now, before = self._maps
@@ -117,38 +112,29 @@ class MapReceiver:
                 )
         with self._lock:
             self._pull.held = self._busy()
-            if self._pull.held:
-                self._pull.miss(labelled(message))
+            served, now = self._is_served(), time.monotonic()
+            replaces = message.operation == GaussianArray.REPLACE  # drops all that waits
+            if self._pull.held and served and not replaces:
+                self._pull.miss(labelled(message), now)
             else:
-                self._do(self._pull.hear(labelled(message), time.monotonic(), self._served()))
+                self._do(self._pull.hear(labelled(message), now, served))
 
     def _tick(self) -> None:
         with self._lock:
             self._pull.held = self._busy()
-            self._do(self._pull.tick(time.monotonic(), self._served()))
+            self._do(self._pull.tick(time.monotonic(), self._is_served()))
 
-    def _served(self) -> bool:
+    def _is_served(self) -> bool:
         return bool(self._client.service_is_ready())
 
-    def _server_is_known(self) -> bool:
-        """Whether some node serves pulls, ready or not. (The graph's list of all services would
-        also have a service with clients alone.)
-        """
-        for node, namespace in self._node.get_node_names_and_namespaces():
-            try:
-                services = self._node.get_service_names_and_types_by_node(node, namespace)
-            except NodeNameNonExistentError:  # it has just ended
-                continue
-            if any(name == f"{self.topic}/pull" for name, _ in services):
-                return True
-        return False
-
-    def _do(self, step: tuple[Any, Any]) -> None:
-        batches, request = step
+    def _do(self, step: tuple[Any, Any, bool]) -> None:
+        batches, request, subscribe_anew = step
         if request:  # first, so that it is answered meanwhile
             self._send(*request)
         for batch, arrival in batches:
             self._on_batch(batch, arrival)
+        if subscribe_anew and self._qos and self._qos[1]:  # it is transient local
+            self._subscribe(self._qos)
 
     def _send(self, number: int, map_id: str, after_revision: int, first_block: int) -> None:
         if self._pull.pulling and not first_block:
@@ -181,35 +167,52 @@ class MapReceiver:
                 other = self._asked[number] = self._client._pending_requests[sequence] = Future()
                 other.add_done_callback(lambda answer: self._take(number, sequence, answer))
             batches = [labelled(message) for message in response.batches]
-            now, served = time.monotonic(), self._served()
+            now, served = time.monotonic(), self._is_served()
             self._do(self._pull.answer(number, batches, response.next_block, now, served))
 
     def _meet_publishers(self) -> None:
-        publishers = self._publishers()
-        if not publishers:
-            return
-        self._pulls = self._pulls and self._server_is_known()
-        qos = self._qos_for(publishers)
-        for policy in ("durability", "reliability"):
-            asked = getattr(qos, policy)
-            others = {getattr(publisher, policy) for publisher in publishers} - {asked}
-            if others and asked in (DurabilityPolicy.TRANSIENT_LOCAL, ReliabilityPolicy.RELIABLE):
-                if policy not in self._mixed:
-                    self._warn_of_unheard(others.pop(), asked)
-                self._mixed.add(policy)
-            else:
-                self._mixed.discard(policy)
+        known = self._node.get_publishers_info_by_topic(self.topic)
+        ours = type_name(GaussianArray)
+        offers = [_offer(each.qos_profile) for each in known if each.topic_type == ours]
+        self._served = self._is_served() or (self._served and bool(offers))
+        qos, best_effort, volatile = choose_map_qos(_MAP, offers, self._served)
+        for policy, unheard, better in (
+            ("best effort", best_effort, "reliable"),
+            ("volatile", volatile, "transient local"),
+        ):
+            if unheard and policy not in self._unheard:
+                self._node.get_logger().warning(
+                    f"{self.topic}: a publisher is {policy} beside one that is {better}, and isn't "
+                    f"heard: end one of them, or make it {better}, too"
+                )
+            (self._unheard.add if unheard else self._unheard.discard)(policy)
         if qos != self._qos:
-            self._qos = qos
-            self._node.destroy_subscription(self._subscription)
-            self._subscription = self._subscribe()
+            with self._lock:
+                self._subscribe(qos)
 
-    def _warn_of_unheard(self, policy: Enum, asked: Enum) -> None:
-        lesser, better = (each.name.lower().replace("_", " ") for each in (policy, asked))
-        self._node.get_logger().warning(
-            f"{self.topic}: a publisher is {lesser} beside one that is {better}, and isn't heard: "
-            f"end one of them, or make it {better}, too"
-        )
+
+class _Gate(MutuallyExclusiveCallbackGroup):
+    """Leaves a subscription's messages in the middleware while it is closed."""
+
+    def __init__(self, closed: Callable[[], bool]) -> None:
+        super().__init__()
+        self._closed = closed
+
+    def can_execute(self, entity: Any) -> bool:
+        return not self._closed() and bool(super().can_execute(entity))
+
+
+_RELIABILITY = {True: ReliabilityPolicy.RELIABLE, False: ReliabilityPolicy.BEST_EFFORT}
+_DURABILITY = {True: DurabilityPolicy.TRANSIENT_LOCAL, False: DurabilityPolicy.VOLATILE}
+
+
+def _offer(qos: QoSProfile) -> tuple[bool, bool, int]:
+    """A QoS as `choose_map_qos` takes it: reliable, transient local, depth."""
+    reliable = qos.reliability == ReliabilityPolicy.RELIABLE
+    return reliable, qos.durability == DurabilityPolicy.TRANSIENT_LOCAL, qos.depth
+
+
+_MAP = _offer(MAP)
 
 
 def labelled(message: GaussianArray) -> tuple[str, int, bool, int, GaussianArray]:

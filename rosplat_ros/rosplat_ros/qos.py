@@ -21,7 +21,8 @@ def _map_qos(
     )
 
 
-# For a subscription to `gaussians`: a publisher without pulls may keep many batches.
+# For a subscription to `gaussians`: a publisher without pulls may keep many batches. MapReceiver
+# asks for less where publishers offer less, or serve pulls.
 MAP = _map_qos(1000)
 
 # The same for publishers that are volatile.
@@ -30,9 +31,6 @@ MAP_VOLATILE = _map_qos(1000, DurabilityPolicy.VOLATILE)
 # For a publisher that answers pulls: a late joiner learns of the map by the last batch. The other
 # batches are for readers that lag behind.
 PULLED_MAP = _map_qos(8)
-
-# For a subscription that can pull: if it is too slow, only the newest batches wait.
-SERVED_MAP = _map_qos(8, DurabilityPolicy.VOLATILE)
 
 
 def _view_qos(depth: int) -> QoSProfile:

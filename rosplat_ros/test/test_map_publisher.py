@@ -876,7 +876,7 @@ def test_diagnostics_tell_of_the_map_though_nobody_spins_its_node(
         executor.shutdown()
         return {value.key: value.value for value in mine[-1].values}
 
-    with MapPublisher(node) as publisher:
+    with MapPublisher(node, chunk_bytes=400) as publisher:  # more batches than a late joiner hears
         publisher.replace(random_splats(100, 0))
         values = last(DiagnosticStatus.OK)
         assert (values["Splats"], values["Map"]) == ("100", publisher.map_id)

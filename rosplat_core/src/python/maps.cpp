@@ -2,6 +2,7 @@
 
 #include "python/module.hpp"
 #include "rosplat_core/map/map_pull.hpp"
+#include "rosplat_core/map/map_qos.hpp"
 #include "rosplat_core/order/splat_rows.hpp"
 #include "rosplat_core/python/bindings.hpp"
 
@@ -72,14 +73,23 @@ Pull::Labelled labelled(const Labelled& from) {
   return {{map_id, revision, replaces, bytes}, batch};
 }
 
-// The batches to apply, each with its Arrival, and the request to send, or None.
+// The batches to apply, each with its Arrival, the request to send, or None, and whether to
+// subscribe anew.
 py::tuple toPython(const Pull::Step& step) {
   py::object request = py::none();
   if (const auto& asked = step.request) {
     request =
         py::make_tuple(asked->number, asked->map_id, asked->after_revision, asked->first_block);
   }
-  return py::make_tuple(step.batches, request);
+  return py::make_tuple(step.batches, request, step.subscribe_anew);
+}
+
+// As MapQos has it: reliable, transient local, depth.
+using Qos = std::tuple<bool, bool, std::size_t>;
+
+MapQos qosOf(const Qos& from) {
+  const auto& [reliable, transient_local, depth] = from;
+  return {reliable, transient_local, depth};
 }
 
 }  // namespace
@@ -90,13 +100,29 @@ void defineMaps(py::module_& module) {
       .value("HEARD", Arrival::kHeard)
       .value("PULLED", Arrival::kPulled)
       .value("LAST", Arrival::kLast);
+  module.def(
+      "choose_map_qos",
+      [](const Qos& wished, const std::vector<Qos>& offers, bool served) {
+        std::vector<MapQos> offered;
+        for (const Qos& offer : offers) offered.push_back(qosOf(offer));
+        const MapQosChoice choice = chooseMapQos(qosOf(wished), offered, served);
+        const Qos qos(choice.qos.reliable, choice.qos.transient_local, choice.qos.depth);
+        return std::tuple(qos, choice.best_effort_unheard, choice.volatile_unheard);
+      },
+      "wished"_a, "offers"_a, "served"_a,
+      "What a subscription to a map asks for, and whether it then hears no best effort publisher, "
+      "and no volatile one. Each QoS: reliable, transient local, depth.");
   py::class_<Pull>(module, "MapPull", "What a receiver pulls of a map, and when.")
       .def(py::init<>())
       .def_property_readonly("pulling", &Pull::pulling)
       .def_readwrite("held", &Pull::held)
       .def(
-          "miss", [](Pull& pull, const Labelled& heard) { pull.miss(labelled(heard).label); },
-          "heard"_a)
+          "miss",
+          [](Pull& pull, const Labelled& heard, double now) {
+            pull.miss(labelled(heard).label, now);
+          },
+          "heard"_a, "now"_a)
+      .def("subscribed_anew", &Pull::subscribedAnew, "now"_a)
       .def("lose", &Pull::lose, "now"_a)
       .def("awaits", &Pull::awaits, "number"_a)
       .def(

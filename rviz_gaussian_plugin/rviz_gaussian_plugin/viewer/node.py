@@ -127,7 +127,7 @@ class Viewer(Node):
         self._requests: queue.Queue[_Request] = queue.Queue()
 
         own = MutuallyExclusiveCallbackGroup
-        self._map = MapReceiver(self, self._on_batch, own())
+        self._map = MapReceiver(self, self._on_batch)
         topic = self._map.topic
         self._order_topic = f"{topic}/order"
         self._views = self.create_publisher(ViewCamera, f"{topic}/view", **overridable(VIEW))

@@ -20,7 +20,6 @@ using namespace std::chrono_literals;
 constexpr double kWatchPeriod = 1;  // [s]
 // While more edits wait to be drawn, batches that can be pulled later aren't taken. [bytes]
 constexpr std::size_t kMostBacklog = std::size_t{1} << 26;
-constexpr std::size_t kServedDepth = 8;  // history depth where missing batches can be pulled
 
 // As in rosplat_sorter's qos.py, which says why.
 rclcpp::QoS viewQos(std::size_t depth) {
@@ -29,6 +28,13 @@ rclcpp::QoS viewQos(std::size_t depth) {
 // As deep as the most splats that one selection publishes, MapSelection::kListed.
 rclcpp::QoS pickedQos() {
   return rclcpp::QoS(rclcpp::KeepLast(100)).reliable().durability_volatile();
+}
+
+MapQos toMapQos(const rclcpp::QoS& qos) {
+  const bool keeps_all = qos.history() == rclcpp::HistoryPolicy::KeepAll;
+  return {qos.reliability() == rclcpp::ReliabilityPolicy::Reliable,
+          qos.durability() == rclcpp::DurabilityPolicy::TransientLocal,
+          keeps_all ? MapQos().depth : qos.depth()};
 }
 
 using Message = rosplat_msgs::msg::GaussianArray;
@@ -74,7 +80,7 @@ rclcpp::QoS GaussianClient::mapQos() {
 
 GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::string& topic,
                                const rclcpp::QoS& qos, SplatScene& scene)
-    : node_(node), topic_(topic), scene_(scene), qos_(qos), asked_qos_(qos) {
+    : node_(node), topic_(topic), scene_(scene), wished_(qos) {
   group_ = node_->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive, false);
   const auto overridable = rclcpp::QosOverridingOptions::with_default_policies();
   rclcpp::SubscriptionOptions options;
@@ -88,7 +94,7 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
       [this](std::uint64_t number, std::shared_ptr<const PullClient::Response> response) {
         takeAnswer(number, std::move(response));
       });
-  subscribe(qosFor(false));
+  subscribe(toMapQos(wished_));
   status_.topic = remapped_;
   orders_ = node_->create_subscription<SplatOrder>(
       remapped_ + "/order", viewQos(8),
@@ -126,21 +132,18 @@ void GaussianClient::stop() {
   thread_.join();
 }
 
-void GaussianClient::subscribe(const rclcpp::QoS& qos) {
+void GaussianClient::subscribe(const MapQos& asked) {
+  rclcpp::QoS qos(wished_);
+  if (asked.depth != toMapQos(wished_).depth) qos.keep_last(asked.depth);
+  if (!asked.reliable) qos.best_effort();
+  if (!asked.transient_local) qos.durability_volatile();
   rclcpp::SubscriptionOptions options;
   options.callback_group = group_;
-  asked_qos_ = qos;
+  qos_ = asked;
+  pull_.subscribedAnew(now());
   map_ = node_->create_subscription<GaussianArray>(
       topic_, qos,
       [this](std::shared_ptr<const GaussianArray> message) { hear(std::move(message)); }, options);
-}
-
-// With pulls no history is needed: of batches that come too fast, only the newest wait.
-rclcpp::QoS GaussianClient::qosFor(bool all_are_volatile) const {
-  rclcpp::QoS qos(qos_);
-  if (serves_) qos.keep_last(std::clamp<std::size_t>(qos.depth(), 1, kServedDepth));
-  if (serves_ || all_are_volatile) qos.durability_volatile();
-  return qos;
 }
 
 void GaussianClient::hear(std::shared_ptr<const GaussianArray> message) {
@@ -148,7 +151,7 @@ void GaussianClient::hear(std::shared_ptr<const GaussianArray> message) {
   pull_.held = isFull();
   // A REPLACE is taken in any case: it drops all that waits.
   if (pull_.held && served() && message->operation != GaussianArray::REPLACE) {
-    return pull_.miss(labelled(std::move(message)).label);
+    return pull_.miss(labelled(std::move(message)).label, now());
   }
   act(pull_.hear(labelled(std::move(message)), now(), served()));
 }
@@ -169,6 +172,7 @@ void GaussianClient::note(const std::string& map_id) {
 
 void GaussianClient::act(Pull::Step step) {
   if (step.request) send(*step.request);  // first, so that it is answered meanwhile
+  if (step.subscribe_anew) subscribe_anew_ = true;
   for (const auto& [message, arrival] : step.batches) {
     if (!take(*message, arrival)) return pull_.lose(now());
   }
@@ -279,26 +283,23 @@ void GaussianClient::watch() {
 void GaussianClient::watchPublishers() {
   const std::size_t sorters = node_->count_publishers(remapped_ + "/order");
   views_followed_ = view_publisher_->get_subscription_count() > sorters;
-  // A transient local subscription gets nothing from a volatile publisher. There are never two
-  // subscriptions: a batch that comes twice would take the map back.
-  bool any_latched = false, any_volatile = false, any_best_effort = false;
   std::string other_type;
   std::vector<std::string> names;
-  const auto publishers = node_->get_publishers_info_by_topic(topic_);
-  for (const auto& publisher : publishers) {
+  std::vector<MapQos> offers;
+  for (const auto& publisher : node_->get_publishers_info_by_topic(topic_)) {
     names.push_back(publisher.node_name());
-    if (publisher.topic_type() != mapType()) other_type = publisher.topic_type();
-    const bool is_volatile =
-        publisher.qos_profile().durability() == rclcpp::DurabilityPolicy::Volatile;
-    (is_volatile ? any_volatile : any_latched) = true;
-    any_best_effort |=
-        publisher.qos_profile().reliability() == rclcpp::ReliabilityPolicy::BestEffort;
+    if (publisher.topic_type() == mapType()) {
+      offers.push_back(toMapQos(publisher.qos_profile()));
+    } else {
+      other_type = publisher.topic_type();
+    }
   }
-  serves_ = served() || (serves_ && !publishers.empty());
-  const rclcpp::QoS qos = qosFor(any_volatile && !any_latched);
-  if (qos != asked_qos_) {
+  serves_ = served() || (serves_ && !offers.empty());
+  const MapQosChoice chosen = chooseMapQos(toMapQos(wished_), offers, serves_);
+  const bool anew = subscribe_anew_.exchange(false) && chosen.qos.transient_local;
+  if (anew || !(chosen.qos == qos_)) {
     const Pause pause(*this);
-    subscribe(qos);
+    subscribe(chosen.qos);
   }
   const std::lock_guard lock(mutex_);
   if (sorters == 0) status_.dropped_order.clear();
@@ -306,10 +307,11 @@ void GaussianClient::watchPublishers() {
   if (status_.publishers.size() < 2) status_.contended = false;
   status_.other_type = other_type;
   status_.unheard.clear();
-  if (any_best_effort && qos_.reliability() == rclcpp::ReliabilityPolicy::Reliable) {
-    status_.unheard = "best effort: set Reliability Policy to Best Effort";
-  } else if (any_volatile && any_latched &&
-             asked_qos_.durability() == rclcpp::DurabilityPolicy::TransientLocal) {
+  const bool any_volatile = std::any_of(offers.begin(), offers.end(),
+                                        [](const MapQos& offer) { return !offer.transient_local; });
+  if (chosen.best_effort_unheard) {
+    status_.unheard = "best effort and another is reliable: set Reliability Policy to Best Effort";
+  } else if (chosen.volatile_unheard) {
     status_.unheard = "volatile and another is transient local: set Durability Policy to Volatile";
   } else if (any_volatile && !serves_) {
     status_.unheard = "volatile: what it sent before is lost";

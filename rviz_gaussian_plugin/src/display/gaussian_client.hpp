@@ -21,6 +21,7 @@
 #include "fair_queue.hpp"
 #include "pull_client.hpp"
 #include "rosplat_core/map/map_pull.hpp"
+#include "rosplat_core/map/map_qos.hpp"
 #include "rosplat_core/order/order_slots.hpp"
 #include "sidecar_switch.hpp"
 #include "splat_scene.hpp"
@@ -63,9 +64,8 @@ class GaussianClient {
   // The QoS that publishers of maps offer: reliable, transient local, as deep as their history.
   static rclcpp::QoS mapQos();
 
-  // The scene must outlive the client. If all publishers are volatile, the subscription is volatile
-  // even if qos is transient local. If the map can be pulled, the subscription is volatile with a
-  // short history. Throws rclcpp's exceptions for a topic with an invalid name.
+  // The scene must outlive the client. The subscription asks for less than qos where chooseMapQos()
+  // says so. Throws rclcpp's exceptions for a topic with an invalid name.
   GaussianClient(const rclcpp::Node::SharedPtr& node, const std::string& topic,
                  const rclcpp::QoS& qos, SplatScene& scene);
   ~GaussianClient();
@@ -112,8 +112,7 @@ class GaussianClient {
   };
   void start();
   void stop();
-  void subscribe(const rclcpp::QoS& qos);
-  rclcpp::QoS qosFor(bool all_are_volatile) const;
+  void subscribe(const MapQos& qos);
   void hear(std::shared_ptr<const GaussianArray> message);
   void tick();
   bool isFull() const;
@@ -135,10 +134,11 @@ class GaussianClient {
   std::string remapped_;                         // as ROS resolves it; prefix of the other topics
   SplatScene& scene_;
   rclcpp::CallbackGroup::SharedPtr group_;
-  double watched_ = 0;     // time of the last watch [s]
-  rclcpp::QoS qos_;        // that the user asked for
-  rclcpp::QoS asked_qos_;  // of the subscription
-  bool serves_ = false;    // pulls are answered, or were while there were publishers
+  double watched_ = 0;   // time of the last watch [s]
+  rclcpp::QoS wished_;   // that the user asked for
+  MapQos qos_;           // of the subscription
+  bool serves_ = false;  // pulls are answered, or were while there were publishers
+  std::atomic<bool> subscribe_anew_ = false;
   rclcpp::Subscription<GaussianArray>::SharedPtr map_;
   Pull pull_;
   std::shared_ptr<PullClient> pull_client_;

@@ -35,6 +35,10 @@ namespace rosplat {
 // A receiver that knows no map asks for any. It asks now and then even if no server is known:
 // discovery reports a server late, and none while it knows only a part of one. A receiver that
 // hears nothing for a while asks whether it has everything: the last batch may be lost.
+//
+// Where nobody answers, the publishers' history may have what is missing. So the receiver
+// subscribes anew, once, and takes of the history what follows the last revision that it has all
+// of.
 template <typename Batch>
 class MapPull {
  public:
@@ -50,6 +54,8 @@ class MapPull {
   static constexpr double kBlind = 2.0;
   // Time from the last batch or request until the receiver asks whether a batch got lost. [s]
   static constexpr double kQuiet = 2.0;
+  // Time for the next batch of a history. [s]
+  static constexpr double kHistory = 5.0;
   // The most that waits for the end of a pull. [bytes]
   static constexpr std::size_t kMostWaiting = std::size_t(1) << 26;
   static constexpr std::uint32_t kBlocks = 1u << 15;  // of slots, in a map
@@ -72,10 +78,12 @@ class MapPull {
     std::uint64_t after_revision = 0;
     std::uint32_t first_block = 0;
   };
-  // What the caller has to do now: apply batches in turn, and send a request.
+  // What the caller has to do now: apply batches in turn, send a request, and subscribe anew if the
+  // subscription is transient local.
   struct Step {
     std::vector<std::pair<Batch, Arrival>> batches;
     std::optional<Request> request;
+    bool subscribe_anew = false;
   };
 
   // Takes a batch from the topic. served: whether a server is known.
@@ -86,19 +94,28 @@ class MapPull {
       step.batches.emplace_back(std::move(heard.batch), Arrival::kHeard);
       return step;
     }
-    note(label);
+    if (repeats(label, now)) {
+      history_until_ = now + kHistory;
+      followHistory(std::move(heard), step);
+      return step;
+    }
+    note(label, served);
     check_from_ = now + kQuiet;
     follow(std::move(heard), now, served || answered_, step);
     ask(now, served, step);
     return step;
   }
 
-  // Takes the label of a batch from the topic that there was no room for: it is pulled later.
-  void miss(const Label& label) {
-    if (label.revision == 0) return;
-    note(label);
+  // Takes the label of a batch from the topic that there was no room for: it is pulled later, since
+  // a server is known.
+  void miss(const Label& label, double now) {
+    if (label.revision == 0 || repeats(label, now)) return;
+    note(label, true);
     exact_ = false;
   }
+
+  // The caller has subscribed anew: the publishers' history comes, heard before or not.
+  void subscribedAnew(double now) { history_until_ = now + kHistory; }
 
   // The caller had no memory for a batch that it was to apply, and applied none after it: all of
   // the map is pulled, after a while.
@@ -134,7 +151,9 @@ class MapPull {
       forget();
       return step;  // nothing got lost
     }
-    if (first.map_id == map_id_ && first.revision > 0 && first.revision < revision_) {
+    const bool begun_anew = first.replaces && base_ > 0;  // under the same name
+    if (first.map_id == map_id_ && !begun_anew && first.revision > 0 &&
+        first.revision < revision_) {
       // What was heard has overtaken the answer. Batches have to wait for the next one.
       if (std::exchange(silent_, false)) pull();
       ask(now, served, step);
@@ -188,6 +207,9 @@ class MapPull {
     if (pulling_ && ((late && (refused_from_ || late_ >= kMostLate)) || !(served || answered_))) {
       pause(now, step);
     }
+    if (late && !served && lacks() && map_id_ && !pulling_ && !silent_ && !searched_) {
+      step.subscribe_anew = searched_ = true;
+    }
     ask(now, served, step);
     return step;
   }
@@ -200,19 +222,21 @@ class MapPull {
  private:
   static constexpr double kNever = -std::numeric_limits<double>::infinity();
 
-  void note(const Label& label) {
+  void note(const Label& label, bool served) {
     gone_ = false;
     if (label.map_id != map_id_) {
       if (map_id_) stop();
       begin(label.map_id);
     }
-    const bool again = label.revision <= heard_;  // a bag plays the map again
+    const bool again = label.revision <= heard_;
     heard_ = label.revision;
     if (!again) return;
     stop();
-    revision_ = label.revision - 1;
-    base_ = 0;
     exact_ = label.replaces;
+    // A publisher that was lost and found, perhaps: its server says what has changed since base_.
+    if (served && !label.replaces) return;
+    revision_ = label.revision - 1;  // a bag plays the map again
+    base_ = 0;
   }
 
   // Keeps what is asked: the answer to a request without a map_id may be of this map.
@@ -221,6 +245,7 @@ class MapPull {
     patience_ = {};
     heard_ = revision_ = base_ = 0;
     exact_ = true;  // nothing is missing of an empty map
+    searched_ = false;
     retry_from_ = kNever;
   }
 
@@ -253,6 +278,7 @@ class MapPull {
     if (label.replaces) {
       stop();
       exact_ = true;
+      searched_ = false;
     } else if (label.revision - revision_ > 1) {
       if (served && !silent_ && now >= retry_from_) {
         pull();
@@ -263,6 +289,22 @@ class MapPull {
     revision_ = label.revision;
     if (exact_) base_ = label.revision;
     step.batches.emplace_back(std::move(heard.batch), Arrival::kHeard);
+  }
+
+  // Whether a batch is of the history, and not of a map that begins anew.
+  bool repeats(const Label& label, double now) const {
+    const bool known = label.map_id == map_id_ && label.revision <= heard_;
+    return now < history_until_ && known && !(label.replaces && lacks());
+  }
+
+  // Takes a batch of the history: if it is the next one, it and those that follow were missing.
+  void followHistory(Labelled heard, Step& step) {
+    const std::uint64_t revision = heard.label.revision;
+    if (exact_ || pulling_ || silent_ || revision != base_ + 1) return;
+    base_ = revision;
+    exact_ = base_ >= revision_;
+    if (exact_) searched_ = false;
+    step.batches.emplace_back(std::move(heard.batch), exact_ ? Arrival::kLast : Arrival::kPulled);
   }
 
   void pull() {
@@ -386,6 +428,8 @@ class MapPull {
   std::optional<double> refused_from_;  // when a server answered that it lacks the map [s]
   bool answered_ = false;               // a server answers, even if none is known
   Patience patience_;
+  bool searched_ = false;  // the history of this map, for what is missing
+  double history_until_ = kNever;
   double ask_from_ = kNever, retry_from_ = kNever, blind_from_ = kNever, check_from_ = kNever;
   std::deque<Labelled> waiting_;
   std::size_t waiting_bytes_ = 0;
