@@ -11,7 +11,7 @@ if command -v actionlint >/dev/null; then actionlint; fi
 (cd rosplat_core && mypy --config-file ../pyproject.toml --no-error-summary rosplat_core)
 export MYPYPATH=../rosplat_core
 (cd rosplat_ros && mypy --config-file ../pyproject.toml --no-error-summary \
-  rosplat_ros/{batches,view_cameras}.py rosplat_ros/program/{files_below,processes}.py)
+  rosplat_ros/{batches,view_cameras}.py rosplat_ros/program/{files_below,middleware,processes}.py)
 export MYPYPATH=../rosplat_core:../rosplat_ros
 (cd rosplat_sorter && mypy --config-file ../pyproject.toml --no-error-summary \
   rosplat_sorter/{backends,map.py,order_slots.py,shared_orders.py,worker.py})

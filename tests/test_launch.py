@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 import yaml
 
-from rosplat_ros.program.processes import FAST_DDS_WISHES
+from rosplat_ros.program.middleware import FAST_DDS_WISHES
 
 if TYPE_CHECKING:
     from launch import LaunchContext

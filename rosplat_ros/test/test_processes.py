@@ -11,7 +11,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from rosplat_ros.program.processes import ProcessError, Processes, fast_dds_profile, run_module
+from rosplat_ros.program.middleware import FAST_DDS_WISHES, fast_dds_profile, prepare_fast_dds
+from rosplat_ros.program.processes import ProcessError, Processes, run_module
 from rosplat_testing import PATIENCE
 
 SLEEP = ["sh", "-c", "echo awake; exec sleep 600"]
@@ -52,6 +53,22 @@ def test_fast_dds_is_made_fit_for_maps_unless_somebody_sees_to_it(
         assert not fast_dds_profile({name: "1"})
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=64 << 20))
     assert not fast_dds_profile({})
+
+
+def test_programs_see_to_fast_dds_by_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in FAST_DDS_WISHES:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("os.environ", dict(os.environ))
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=2 << 30))
+
+    def profile() -> str:
+        return next((os.environ[name] for name in FAST_DDS_WISHES if name in os.environ), "")
+
+    prepare_fast_dds(sends_maps=False)
+    assert profile().endswith("config/fastdds_small.xml")
+    os.environ.update(dict.fromkeys(FAST_DDS_WISHES[1:3], "/a/user's.xml"))
+    prepare_fast_dds()
+    assert profile() == "/a/user's.xml"
 
 
 def test_leaving_the_block_ends_all_even_by_an_error(tmp_path: Path) -> None:

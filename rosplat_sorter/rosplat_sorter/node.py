@@ -26,7 +26,8 @@ from rosplat_ros import qos
 from rosplat_ros.diagnostics import Diagnostics, Report
 from rosplat_ros.map_receiver import MapReceiver
 from rosplat_ros.program.arguments import take_ros_arguments_only
-from rosplat_ros.program.memory import give_back_large_blocks, take_little_shared_memory
+from rosplat_ros.program.memory import give_back_large_blocks
+from rosplat_ros.program.middleware import prepare_fast_dds
 from rosplat_ros.program.mistakes import Mistakes
 from rosplat_ros.program.spinning import spin_until
 from rosplat_sorter.backends import AUTO, BACKENDS
@@ -222,7 +223,7 @@ def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     take_ros_arguments_only("sorter", __doc__, lambda: SorterNode().destroy_node())
     give_back_large_blocks()
-    take_little_shared_memory()
+    prepare_fast_dds(sends_maps=False)
     # ROS's own handlers end it: a KeyboardInterrupt could come in the middle of an import.
     signal.signal(signal.SIGINT, lambda *_: None)
     try:

@@ -40,10 +40,10 @@ SHARED = """
 import sys
 from pathlib import Path
 import rclpy
-from rosplat_ros.program.memory import take_little_shared_memory
+from rosplat_ros.program.middleware import prepare_fast_dds
 
 if sys.argv[1:]:
-    take_little_shared_memory()
+    prepare_fast_dds(sends_maps=False)
 rclpy.init()
 node = rclpy.create_node("node")
 status = Path("/proc/self/status").read_text()

@@ -9,7 +9,7 @@ from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from rosplat_ros.program.processes import fast_dds_profile
+from rosplat_ros.program.middleware import fast_dds_profile
 
 
 def declared(arguments: Mapping[str, tuple[str, str]]) -> list[DeclareLaunchArgument]:

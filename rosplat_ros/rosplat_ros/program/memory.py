@@ -19,17 +19,6 @@ def give_back_large_blocks() -> None:
     ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE)
 
 
-def take_little_shared_memory() -> None:
-    """Makes Fast DDS take 4 MB, not 32, by rosplat_msgs' profile. For programs that send no map.
-
-    Call it before ROS begins, when a process takes all of the shared memory that it sends by.
-    """
-    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"):
-        profile = Path(os.environ.get(name, ""))
-        if profile.name == "fastdds.xml" and profile.with_stem("fastdds_small").exists():
-            os.environ[name] = str(profile.with_stem("fastdds_small"))
-
-
 def resident_bytes() -> int:
     """Memory that this process has in RAM. [bytes]"""
     pages = Path("/proc/self/statm").read_text().split()[1]  # proc(5)

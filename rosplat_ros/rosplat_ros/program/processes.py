@@ -6,55 +6,26 @@ import ctypes
 import importlib
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
 
 from rosplat_core.program.output import finish
 from rosplat_ros.program.loading import exit_by_signals
+from rosplat_ros.program.middleware import fast_dds_profile
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM)
 GRACE = 5.0  # what a program gets to end by itself [s]
 ENDS = 3.0  # for so long after a signal, a program that ends by it heeds no other [s]
 
 
-# A user who sets one of these has configured Fast DDS already.
-FAST_DDS_WISHES = (
-    "FASTDDS_BUILTIN_TRANSPORTS",
-    "FASTDDS_DEFAULT_PROFILES_FILE",
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
-    "ROS_AUTOMATIC_DISCOVERY_RANGE",
-    "ROS_LOCALHOST_ONLY",
-)
-ROOM_FOR_SEGMENTS = 1 << 30  # in shared memory, of which the profile takes 32 MiB a program [bytes]
-
-
 class ProcessError(RuntimeError):
     """A program that could not be started or ended early; the text says which, and why."""
-
-
-def fast_dds_profile(environment: Mapping[str, str]) -> dict[str, str]:
-    """The variable that gives Fast DDS the profile of rosplat_msgs, which has room for maps.
-
-    Empty if the environment sets one of FAST_DDS_WISHES, or shared memory is small (containers).
-    """
-    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-
-    try:
-        profile = Path(get_package_share_directory("rosplat_msgs")) / "config" / "fastdds.xml"
-        room = shutil.disk_usage("/dev/shm").free
-    except (PackageNotFoundError, OSError):
-        return {}
-    if room < ROOM_FOR_SEGMENTS or any(environment.get(name) for name in FAST_DDS_WISHES):
-        return {}
-    old = environment.get("ROS_DISTRO") in ("humble", "jazzy")  # later ones warn of the old name
-    return {f"{'FASTRTPS' if old else 'FASTDDS'}_DEFAULT_PROFILES_FILE": str(profile)}
 
 
 def quoted(text: object) -> str:

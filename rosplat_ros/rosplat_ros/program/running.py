@@ -30,6 +30,7 @@ from rosplat_core.program.output import told
 from rosplat_core.splats import SceneError
 from rosplat_ros.program.arguments import take_ros_arguments_only
 from rosplat_ros.program.memory import give_back_large_blocks
+from rosplat_ros.program.middleware import prepare_fast_dds
 from rosplat_ros.program.mistakes import Mistakes
 from rosplat_ros.program.parameter_help import stop_if_asked
 from rosplat_ros.program.processes import interrupt_by_signals, since_interrupt
@@ -78,6 +79,7 @@ def run_node(
 def _run(program: str, body: Callable[[], None], module: str, usage: str = "") -> None:
     take_ros_arguments_only(program, sys.modules[module].__doc__, body, usage)
     give_back_large_blocks()
+    prepare_fast_dds()
     try:
         # rclpy's own handlers shut ROS down under code that is just using it.
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
