@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import rclpy
 from numpy.typing import NDArray
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Header
@@ -132,7 +132,9 @@ def _spin(node: Node) -> threading.Thread:
         executor.add_node(node)
         try:
             executor.spin()
-        except ExternalShutdownException:
+        except Exception:  # ExternalShutdownException, or RCLError of what ended with its context
+            if node.context.ok():
+                raise
             node.destroy_node()
 
     thread = threading.Thread(target=spin)
