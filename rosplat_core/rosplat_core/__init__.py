@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rosplat_core.first_look import first_view
     from rosplat_core.formats import load, save
     from rosplat_core.generated import generate
+    from rosplat_core.models import Model
     from rosplat_core.ordering import depth_order
     from rosplat_core.relocalisation import Relocaliser, relocalise
     from rosplat_core.rendering import CpuRenderer, render
@@ -26,6 +27,7 @@ __all__ = [
     "Alignment",
     "Camera",
     "CpuRenderer",
+    "Model",
     "Relocaliser",
     "SceneError",
     "Splats",
@@ -53,6 +55,7 @@ _MODULES = {
     "first_look": ("first_view",),
     "formats": ("load", "save"),
     "generated": ("generate",),
+    "models": ("Model",),
     "ordering": ("depth_order",),
     "relocalisation": ("Relocaliser", "relocalise"),
     "rendering": ("CpuRenderer", "render"),

@@ -426,10 +426,13 @@ class Warp:
         order = np.argsort(tile, kind="stable")
         rays, depths, places, pixels = rays[order], depths[order], places[order], pixels[order]
         ends = np.cumsum(np.bincount(tile, minlength=across * down))
+        centres = (places + 0.5).astype(np.float32)
         samples = Samples(
-            np.append(0, ends).astype(np.uint32), *(places.T + 0.5).astype(np.float32),
+            np.append(0, ends).astype(np.uint32),
+            centres[:, 0],
+            centres[:, 1],
             tuple(rotation[:, 2].tolist()),
-        )  # fmt: skip
+        )
         pose = np.eye(4)
         pose[:3, :3] = rotation
         left, top = (0.5 - low).tolist()

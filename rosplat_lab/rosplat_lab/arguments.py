@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from rosplat_core.program.numbers import whole_number
+from rosplat_core.program.whole_numbers import whole_number
 
 
 def whole(least: int) -> Callable[[str], int]:

@@ -8,9 +8,9 @@ import sys
 from rosplat_core.formats import SUFFIXES, SceneError, check_output, save
 from rosplat_core.generated import SCENES, generate
 from rosplat_core.log_text import shown
-from rosplat_core.program.numbers import whole_number
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
+from rosplat_core.program.whole_numbers import whole_number
 from rosplat_core.splats import LONGEST_ERROR
 
 
