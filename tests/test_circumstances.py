@@ -27,7 +27,6 @@ from rosplat_core.maps import Arrival, GaussianMap, PublishedBatch, PublishedMap
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap
-from rosplat_ros.batches import apply
 from rosplat_ros.map_publisher import as_message
 from rosplat_ros.map_receiver import MapReceiver
 
@@ -170,7 +169,7 @@ class InPython:
         self._thread = _spin(node)
 
     def _take(self, batch: GaussianArray, arrival: Arrival) -> None:
-        apply(self._map, batch, arrival)
+        self._map.apply(batch, arrival)
 
     def state(self) -> tuple[str, int, int, bool]:
         known = self._map
