@@ -19,7 +19,7 @@ from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 
 from rosplat_core.alignment import motion
-from rosplat_core.cameras import look_at
+from rosplat_core.cameras import Camera, look_at, save_cameras
 from rosplat_core.generated import generate
 from rosplat_core.lens_pictures import take_picture
 from rosplat_core.lenses import Lens, Warp
@@ -42,10 +42,6 @@ BARREL = Lens(160, 120, 150.0, 150.0, 80.0, 60.0, "plumb_bob", (-0.2, 0.03, 1e-3
 EYE = look_at((5, 1, 2.0), (0, 0, 0.5))
 # By how much starts are off: metres and radians.
 OFF = motion([0.08, -0.05, 0.06, 0.02, -0.02, 0.03])
-RELIABLE = {
-    f"qos_overrides./{{}}/{topic}.subscription.reliability": "reliable"
-    for topic in ("image_raw", "camera_info", "mask")
-}
 
 
 def start_of(world_to_camera: np.ndarray) -> np.ndarray:
@@ -80,9 +76,7 @@ class Aligner:
         self.node.create_subscription(PoseWithCovarianceStamped, "aligned", self.aligned.append, 10)
 
     def start(self, **parameters: object) -> Log:
-        namespace = self.node.get_namespace().strip("/")
-        reliable = {name.format(namespace): value for name, value in RELIABLE.items()}
-        log = Log(self._start("align", poses="topic", **reliable, **parameters))
+        log = Log(self._start("align", poses="topic", **parameters))
         for publisher in (self._images, self._infos):
             self.listener.wait(publisher.get_subscription_count)
         assert self._client.wait_for_service(PATIENCE)
@@ -133,7 +127,6 @@ def test_align_finds_the_poses_of_what_camera_films(
     node: Node, listener: Listener, start: Callable[..., subprocess.Popen[str]], aligner: Aligner
 ) -> None:
     """The camera is where its topic says; align and compare hear of it from one that is off."""
-    namespace = node.get_namespace()
     MapPublisher(node).replace(SPLATS)
     filming, said = Studio(node, listener), Studio(node, listener, "said")
     metrics: list[Comparison] = []
@@ -144,12 +137,8 @@ def test_align_finds_the_poses_of_what_camera_films(
     names = {
         "image_raw": "camera/image_raw", "camera_info": "camera/camera_info", "pose": "said/pose",
     }  # fmt: skip
-    reliable = {
-        f"qos_overrides.{namespace}/camera/{topic}.subscription.reliability": "reliable"
-        for topic in ("image_raw", "camera_info")
-    }
-    start("align", names, poses="topic", **reliable)
-    start("compare", names, poses="topic", align=True, **reliable)
+    start("align", names, poses="topic")
+    start("compare", names, poses="topic", align=True)
     listener.wait(lambda: node.count_subscribers("said/pose") == 2)
     listener.wait(lambda: node.count_subscribers("camera/image_raw") == 2)
     for number, angle in enumerate((0.0, 0.7, 1.4)):
@@ -209,6 +198,53 @@ def test_a_long_call_holds_up_no_other_callback(node: Node, aligner: Aligner) ->
     assert not call.done()
     aligner.listener.wait(call.done)
     assert call.result().converged
+
+
+def test_calls_beyond_two_are_refused_at_once(node: Node, aligner: Aligner) -> None:
+    MapPublisher(node).replace(SPLATS)
+    aligner.start()
+    aligner.calibrate(LENS)
+    image = picture(LENS, EYE)
+    aligner.call_until("", EYE, image)
+    calls = [aligner.request(start_of(EYE), image) for _ in range(8)]
+    aligner.listener.wait(lambda: all(call.done() for call in calls))
+    answers = [call.result() for call in calls]
+    assert 2 <= sum(answer.converged for answer in answers) < 8
+    assert {answer.problem for answer in answers} == {
+        "", "busy with 2 calls: call again once one is answered",
+    }  # fmt: skip
+
+
+def test_a_picture_is_found_without_a_start(node: Node, aligner: Aligner, tmp_path: Path) -> None:
+    views = [look_at((5 * np.cos(a), 5 * np.sin(a), 2.0), (0, 0, 0.5)) for a in (0.0, 0.3, 2.0)]
+    cameras = [Camera(0, 160, 120, 146.0, 146.0, 80.0, 60.0, view) for view in views]
+    save_cameras(tmp_path / "cameras.json", cameras)
+    MapPublisher(node).replace(SPLATS)
+    aligner.start(places=str(tmp_path / "cameras.json"))
+    aligner.calibrate(LENS)
+    image = picture(LENS, EYE)
+    aligner.call_until("", EYE, image)
+
+    def found(image: Image) -> Align.Response:
+        future = aligner._client.call_async(Align.Request(image=image, anywhere=True))
+        aligner.listener.wait(future.done)
+        return future.result()
+
+    metres, degrees = apart(to_matrix(found(image).pose.pose.pose), EYE)
+    assert metres < 0.01 and degrees < 0.1
+    mirrored = found(to_image(np.ascontiguousarray(from_image(image)[:, ::-1]), "rgb8"))
+    assert mirrored.problem == "none of 3 places shows what the picture does"
+
+
+def test_places_are_those_of_a_file(node: Node, aligner: Aligner) -> None:
+    MapPublisher(node).replace(SPLATS)
+    aligner.start()
+    aligner.calibrate(LENS)
+    image = picture(LENS, EYE)
+    aligner.call_until("", EYE, image)
+    future = aligner._client.call_async(Align.Request(image=image, anywhere=True))
+    aligner.listener.wait(future.done)
+    assert future.result().problem == "the parameter places names no file"
 
 
 def test_the_launch_file_refines_the_poses_of_tf(

@@ -2,7 +2,8 @@
 
 Hears `gaussians`, `image_raw`, `camera_info` and `mask`. TF, or the topic `pose`, says roughly
 where the camera was. Publishes `aligned`, the refined pose of each picture, while somebody hears it
-or `broadcast` asks for it. Serves `~/align`, which takes a start and a picture.
+or `broadcast` asks for it. Serves `~/align`, which takes a picture, and a start, or none where the
+parameter `places` says from where the map has been seen.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ import time
 from collections import deque
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
@@ -24,18 +26,21 @@ from rosplat_core.splats import SceneError
 from rosplat_msgs.srv import Align
 from rosplat_ros.diagnostics import Diagnostics
 from rosplat_ros.poses import to_matrix, to_pose
-from rosplat_ros.program.parameters import declare
+from rosplat_ros.program.parameters import declare, declare_path
 from rosplat_ros.program.running import run_node
 from rosplat_ros.qos import overridable
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.cameras.health import NoPicture
+from rosplat_tools.cameras.places import Places
 from rosplat_tools.cameras.pose_history import SECOND, Pose
 from rosplat_tools.cameras.refining import Refined, refined
 from rosplat_tools.cameras.taken_pictures import Taken, TakenPictures
 from rosplat_tools.frames import TF, TFMessage, transform
 
 POSES = QoSProfile(depth=5)
-THREADS = 2  # of callbacks
+CALLS = QoSProfile(depth=100)  # that come at once, and are not lost before they are refused
+MOST_CALLS = 2  # of the service at a time: one that is answered, one that waits
+THREADS = MOST_CALLS + 2  # of callbacks: each call keeps one, and one refuses further calls
 
 
 @dataclass
@@ -58,6 +63,14 @@ class AlignNode(Node):
         )
         if self._child and TFMessage is None:
             raise SceneError("parameter broadcast: tf2_msgs is not installed")
+        self._patience: float = declare(
+            self, "patience", 5.0, "Time after which no other try at a picture begins. [s]"
+        )
+        self._places = Places(declare_path(
+            self, "places", "",
+            "Camera file, or trajectory (.txt), of poses near which pictures are found without a "
+            "start.",
+        ))  # fmt: skip
         self._map = DrawnMap(self)
         self._pictures = TakenPictures(self, self._map, Straightened)
         self._health = self._pictures.health
@@ -69,8 +82,11 @@ class AlignNode(Node):
             self.create_publisher(TFMessage, "/tf", **overridable(TF)) if self._child else None
         )
         # A call blocks its thread until the drawing thread has answered.
-        calls = MutuallyExclusiveCallbackGroup()
-        self.create_service(Align, "~/align", self._on_call, callback_group=calls)
+        self._room = threading.BoundedSemaphore(MOST_CALLS)
+        calls = ReentrantCallbackGroup()
+        self.create_service(
+            Align, "~/align", self._on_call, qos_profile=CALLS, callback_group=calls
+        )
         if not self._tf:
             topic = self._aligned.topic_name
             self.get_logger().info(f"aligns pictures while somebody hears {topic}")
@@ -112,28 +128,37 @@ class AlignNode(Node):
         camera, near, far = taken.optics.camera, self._pictures.near, self._pictures.far
         world_to_camera = camera.world_to_camera @ taken.world_to_lens
         self._map.look("", [replace(camera, world_to_camera=world_to_camera, near=near, far=far)])
-        found = refined(self._map.renderer, taken, taken.optics, near, far)
-        if problem := found.alignment.problem:
-            raise NoPicture("not aligned", problem)
-        return found
+        return _converged(
+            refined(self._map.renderer, taken, taken.optics, near, far, self._patience)
+        )
+
+    def _anywhere(self, taken: Taken[Straightened]) -> Refined:
+        near, far = self._pictures.near, self._pictures.far
+        return _converged(self._places.found(self._map.renderer, taken, near, far, self._patience))
 
     # --- The service ------------------------------------------------------------------------------
 
     def _on_call(self, request: Align.Request, response: Align.Response) -> Align.Response:
-        call = _Call(request, response)
-        self._calls.append(call)
-        self._map.came.set()
-        while not call.done.wait(0.1):
-            if not self.context.ok():
-                response.problem = "the node ends"
-                break
+        if not self._room.acquire(blocking=False):
+            response.problem = f"busy with {MOST_CALLS} calls: call again once one is answered"
+            return response
+        try:
+            call = _Call(request, response)
+            self._calls.append(call)
+            self._map.came.set()
+            while not call.done.wait(0.1):
+                if not self.context.ok():
+                    response.problem = "the node ends"
+                    break
+        finally:
+            self._room.release()
         return response
 
     def _answer(self, call: _Call) -> None:
         response = call.response
         try:
             taken = self._asked(call.request)
-            found = self._refined(taken)
+            found = (self._anywhere if call.request.anywhere else self._refined)(taken)
         except NoPicture as none:
             response.problem = str(none)
             return
@@ -148,6 +173,13 @@ class AlignNode(Node):
     def _asked(self, request: Align.Request) -> Taken[Straightened]:
         if problem := self._map.problem():
             raise NoPicture("without a map", problem)
+        start = np.eye(4) if request.anywhere else self._start(request)
+        image = request.image if request.image.width else self._pictures.newest
+        if image is None:
+            raise NoPicture("without a picture", "no picture has come on image_raw")
+        return self._pictures.read(image, start)
+
+    def _start(self, request: Align.Request) -> Pose:
         frame = request.start.header.frame_id
         if frame not in ("", self._map.frame_id):
             raise NoPicture(
@@ -155,13 +187,16 @@ class AlignNode(Node):
                 f"start is in '{shown(frame)}', the map is in '{shown(self._map.frame_id)}'",
             )
         try:
-            start: Pose = to_matrix(to_pose(request.start.pose, "start"))
+            return to_matrix(to_pose(request.start.pose, "start"))
         except ValueError as error:
             raise NoPicture("without a pose", error) from error
-        image = request.image if request.image.width else self._pictures.newest
-        if image is None:
-            raise NoPicture("without a picture", "no picture has come on image_raw")
-        return self._pictures.read(image, start)
+
+
+def _converged(found: Refined) -> Refined:
+    """What was found. Raises NoPicture where nothing was."""
+    if problem := found.alignment.problem:
+        raise NoPicture("not aligned", problem)
+    return found
 
 
 def main() -> None:

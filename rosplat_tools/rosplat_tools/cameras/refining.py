@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,6 +32,12 @@ class Refined:
     """(4, 4) of the optical frame in the map's. [m]"""
     start: Pose
 
+    @classmethod
+    def of(cls, found: Alignment, taken: Taken[Any]) -> Refined:
+        """What was found for a picture."""
+        pose = np.asarray(np.linalg.inv(found.world_to_camera) @ taken.rotation, np.float64)
+        return cls(found, pose, taken.pose)
+
     def in_map(self) -> PoseWithCovariance:
         """The pose in the map's frame."""
         return _message(self.pose, self.alignment.covariance)
@@ -51,17 +59,31 @@ class Refined:
 
 
 def refined(
-    renderer: CpuRenderer, taken: Taken[Any], straightened: Straightened, near: float, far: float
+    renderer: CpuRenderer,
+    taken: Taken[Any],
+    straightened: Straightened,
+    near: float,
+    far: float,
+    patience: float = math.inf,
 ) -> Refined:
-    """Refines a picture's pose; near, far: as in compare(). Raises NoPicture."""
+    """Refines a picture's pose; near, far: as in compare(), patience: as of align().
+
+    Raises NoPicture.
+    """
     colours, counts = straightened.picture(taken.colours, taken.counts)
     camera = replace(straightened.camera, world_to_camera=taken.world_to_lens, near=near, far=far)
+    with drawn():
+        found = align(renderer, colours, camera, counts, patience=patience)
+    return Refined.of(found, taken)
+
+
+@contextmanager
+def drawn() -> Iterator[None]:
+    """Within, what can't be drawn raises NoPicture."""
     try:
-        found = align(renderer, colours, camera, counts)
+        yield
     except (ValueError, RuntimeError, MemoryError) as error:
         raise NoPicture("not drawn", shown(error, 300) or "out of memory") from error
-    pose = np.asarray(np.linalg.inv(found.world_to_camera) @ taken.rotation, np.float64)
-    return Refined(found, pose, taken.pose)
 
 
 def _message(pose: Pose, covariance: NDArray[np.float64]) -> PoseWithCovariance:

@@ -15,14 +15,13 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from rosplat_core.lenses import Lens
 from rosplat_ros.images import from_image, read_mask
 from rosplat_ros.program.parameters import declare, declare_clip, declare_path
-from rosplat_ros.qos import overridable
 from rosplat_tools.cameras import calibrations
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.cameras.health import Health, NoPicture
@@ -30,6 +29,8 @@ from rosplat_tools.cameras.pose_history import Pose, PoseError
 from rosplat_tools.cameras.poses import declare_poses, nanoseconds
 from rosplat_tools.latched import LatchedSubscription
 
+# Until publishers are known, as of best effort a busy machine loses most pictures.
+PICTURES = QoSProfile(depth=5)
 WAITING = 8  # pictures that wait for their poses
 SILENCE = 5.0  # after which the log says that no picture has come [s]
 PATIENCE = 1.0  # how long pictures wait for poses before a warning [s]
@@ -140,10 +141,9 @@ class TakenPictures(Generic[Optics]):
         self.newest: Image | None = None
         """The last picture that came, whether or not it was used."""
         self.health = Health(node.resolve_topic_name("image_raw"), node.get_logger().warning)
-        sensor = qos_profile_sensor_data
-        node.create_subscription(Image, "image_raw", self._on_image, **overridable(sensor))
-        LatchedSubscription(node, CameraInfo, "camera_info", self._on_info, sensor)
-        LatchedSubscription(node, Image, "mask", self._on_mask, sensor)
+        LatchedSubscription(node, Image, "image_raw", self._on_image, PICTURES)
+        LatchedSubscription(node, CameraInfo, "camera_info", self._on_info, PICTURES)
+        LatchedSubscription(node, Image, "mask", self._on_mask, PICTURES)
 
     # --- What ROS hands over ----------------------------------------------------------------------
 
