@@ -120,7 +120,7 @@ TEST_F(SplatRendererTest, GivesAnyDriverShadersThatConform) {
         settings.model = model;
         cutPicture(scene, settings);
         scene.readDepth();
-        SplatScene::drawPick({{&scene, "view", settings, camera()}}, Canvas::kNone, 0);
+        underMouse(scene, settings).drawPick(Canvas::kNone, 0);
       }
     }
   }
