@@ -16,6 +16,9 @@
 #include "raster/simd.hpp"
 #include "rosplat_core/views/conic.hpp"
 
+// For what both projections use, of ellipses and of conics: a call would spill their registers.
+#define ROSPLAT_INLINED __attribute__((always_inline)) inline
+
 namespace rosplat::cpu::ROSPLAT_TARGET {
 
 namespace {
@@ -87,7 +90,8 @@ Floats errorOf(const CutView& cut, const float* eye_at, const Vec3& p, Floats ce
 }
 
 // The shares of slots or nodes that a cut draws: see cut.hpp.
-Floats shareOf(const CutView& cut, const float* eye, const Vec3& p, Floats parent, float own) {
+ROSPLAT_INLINED Floats shareOf(const CutView& cut, const float* eye, const Vec3& p, Floats parent,
+                               float own) {
   const auto rise = [&](Floats error) {
     const Floats t = clamp((error - cut.from) * cut.over_span, Floats{}, all(1.0f));
     return t * t * (3.0f - 2.0f * t);
@@ -150,7 +154,7 @@ Floats signedBits(Words word, int shift, int bits) {
 }
 
 // Columns of a slot's rotation matrix.
-void orientationOf(Words low, Words high, Vec3* columns) {
+ROSPLAT_INLINED void orientationOf(Words low, Words high, Vec3* columns) {
   constexpr float kStep = 0.70710678118654752f / 16383.0f;
   const Floats a = signedBits(low, 2, 15) * kStep, b = signedBits(low, 17, 15) * kStep,
                c = signedBits(high, 0, 15) * kStep;
@@ -263,8 +267,8 @@ class Appearance {
 };
 
 // Spherical harmonics in the group's frame (Kerbl et al. 2023).
-Vec3 trainedColour(const ProjectView& view, const PageSlots& page, Appearance& appearance,
-                   const Vec3& direction) {
+ROSPLAT_INLINED Vec3 trainedColour(const ProjectView& view, const PageSlots& page,
+                                   Appearance& appearance, const Vec3& direction) {
   const auto wanted = [&](int band) {
     return page.bands[band] > 0 && band <= view.sh_degree &&
            (view.only_band < 0 || band == view.only_band);
@@ -299,12 +303,10 @@ Vec3 trainedColour(const ProjectView& view, const PageSlots& page, Appearance& a
   return {radiance(c.x + 0.5f), radiance(c.y + 0.5f), radiance(c.z + 0.5f)};
 }
 
-// Inlined into both projections: a call would spill their registers.
-__attribute__((always_inline)) inline Vec3 colourOf(const ProjectView& view, const GroupView& group,
-                                                    const PageSlots& page, Appearance& appearance,
-                                                    const Places& places, const Vec3& mean,
-                                                    Floats depth, const Vec3& scale,
-                                                    const Vec3* orientation, Floats opacity) {
+ROSPLAT_INLINED Vec3 colourOf(const ProjectView& view, const GroupView& group,
+                              const PageSlots& page, Appearance& appearance, const Places& places,
+                              const Vec3& mean, Floats depth, const Vec3& scale,
+                              const Vec3* orientation, Floats opacity) {
   if (view.mode == DrawMode::kOpacity) return turbo(opacity);
   if (view.mode == DrawMode::kDepth) {
     const float range = view.depth_range[1] - view.depth_range[0];
