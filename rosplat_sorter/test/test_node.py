@@ -438,20 +438,23 @@ def test_garbage_does_not_stop_it(sorter, peer, make_batch, make_look, monkeypat
     warnings = []
     monkeypatch.setattr(sorter, "warn", lambda subject, text: warnings.append((subject, text)))
     peer.edit(make_batch(3))
-    for wrong in (
-        {"positions": [0.0]},
-        {"sh_degree": 200, "sh": []},
-        {"operation": 99},
-        {"format": "zip"},
-        {"slots": [2**32 - 1] * 3},
-        {"first_slot": 2**32 - 1},
-        {"revision": 0},
-        {"map_id": "", "revision": 0},
+    for revision, wrong in enumerate(
+        (
+            {"positions": [0.0]},
+            {"sh_degree": 200, "sh": []},
+            {"operation": 99},
+            {"format": "zip"},
+            {"slots": [2**32 - 1] * 3},
+            {"first_slot": 2**32 - 1},
+            {"revision": 0},
+            {"map_id": "", "revision": 0},
+        ),
+        start=2,
     ):
-        peer.edit(make_batch(3, **({"revision": 2} | wrong)))
-    peer.edit(make_batch(3, revision=2, positions=[nan] * 9, scales=[-inf] * 9, first_slot=3))
+        peer.edit(make_batch(3, **({"revision": revision} | wrong)))
+    peer.edit(make_batch(3, revision=8, positions=[nan] * 9, scales=[-inf] * 9, first_slot=3))
     peer.wait(lambda: warnings and warnings[-1][0] == "splats", "no word of splats with NaN")
-    assert [subject for subject, _ in warnings] == ["batch"] * 8 + ["splats"]
+    assert [subject for subject, _ in warnings] == ["batch"] * 8 + ["gap", "splats"]
     for wrong, reason in (
         ({"fx": nan}, "fx"),
         ({"width": 0}, "width"),
@@ -466,8 +469,9 @@ def test_garbage_does_not_stop_it(sorter, peer, make_batch, make_look, monkeypat
         ((subject, text),) = warnings
         assert subject == "view"
         assert reason in text
+    peer.edit(make_batch(3, revision=9, operation=GaussianArray.REPLACE))
     peer.look(make_look(sequence=5))
-    assert peer.slots(5, 2) == [2, 1, 0]
+    assert peer.slots(5, 9) == [2, 1, 0]
 
 
 @pytest.fixture(params=["Humble", "Iron and later"])

@@ -395,15 +395,15 @@ def test_what_replaces_a_backend_may_fail_too(start, make_batch, make_look, monk
 
 
 def test_without_memory_for_a_batch_the_map_comes_again(start, make_batch, monkeypatch):
-    take, taken = SplatMap.take, []
+    apply, taken = SplatMap.apply, []
 
     def short(self, batch, arrival):
         taken.append(batch.revision)
         if batch.revision == 2:
             raise MemoryError
-        return take(self, batch, arrival)
+        return apply(self, batch, arrival)
 
-    monkeypatch.setattr(SplatMap, "take", short)
+    monkeypatch.setattr(SplatMap, "apply", short)
     worker, host = start()
     with worker._wake:
         for revision in (1, 2, 3):

@@ -57,6 +57,14 @@ class LatchedSubscription:
             *self._given, self._hear, **overridable(self._profile, adapted)
         )
 
+    def _offers_suit(self, latched: bool, reliable: bool) -> bool:
+        """Whether the subscription asks for just that, as parameters may have it."""
+        qos = self._subscription.qos_profile
+        return (latched, reliable) == (
+            qos.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+            qos.reliability == ReliabilityPolicy.RELIABLE,
+        )
+
     def _hear(self, message: Any) -> None:
         if self._latched is None:
             self._early.append(message)
@@ -80,11 +88,8 @@ class LatchedSubscription:
         )
         if self._latched is False:
             latched = False
-        asked = self._reliable
-        if asked is None:
-            asked = self._profile.reliability == ReliabilityPolicy.RELIABLE
-        changes = (latched, reliable) != (bool(self._latched), asked)
+        changes = (latched, reliable) != (self._latched, self._reliable)
         self._latched, self._reliable = latched, reliable
-        if changes:
+        if changes and not self._offers_suit(latched, reliable):
             self._node.destroy_subscription(self._subscription)
             self._subscription = self._subscribe()
