@@ -247,7 +247,7 @@ def test_a_scene_that_is_none_is_named(tmp_path: Path, capsys: pytest.CaptureFix
     assert not (tmp_path / "sort.json").exists()
     scene.write_text("ply\n")
     assert main(command) == 1
-    assert "none.ply: broken PLY" in capsys.readouterr().out.replace("\n", "")
+    assert "none.ply: a PLY with no end_header" in capsys.readouterr().out.replace("\n", "")
     assert load([tmp_path / "sort.json"])  # what came before it is kept
 
 
