@@ -7,6 +7,7 @@
 
 #include "printable.hpp"
 #include "rosplat_core/map/map_pull.hpp"
+#include "rosplat_core/map/slot_pages.hpp"
 
 namespace rosplat {
 

@@ -9,6 +9,7 @@
 
 #include "rosplat_core/map/gaussian_batch.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
+#include "rosplat_core/order/order.hpp"
 #include "rosplat_core/order/order_slots.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
 
