@@ -159,7 +159,7 @@ class Receiver:
         self._request = step.request or self._request
         for message, arrival in step.batches:
             try:
-                self.map.take(message, arrival)
+                self.map.apply(message, arrival)
             except BatchError as error:  # it lacks a deletion
                 assert "hold splats of group" in str(error)
                 assert arrival == Arrival.HEARD

@@ -105,7 +105,7 @@ def test_python_publishes_a_map() -> None:
         check=False,
     )
     assert run.stderr == ""
-    assert run.stdout == "2000 4071 label confidence\n"
+    assert run.stdout == "2000 2023 label confidence\n"
 
 
 # A room filmed with depths, heard by the guide's node; then it is moved by a loop closure.

@@ -9,17 +9,23 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rosplat_ros.images import from_image
     from rosplat_ros.map_publisher import MapPublisher
     from rosplat_ros.map_receiver import MapReceiver
+    from rosplat_ros.poses import to_matrix
 
 __all__ = [
     "MapPublisher",
     "MapReceiver",
+    "from_image",
+    "to_matrix",
 ]
 
 _MODULES = {
     "MapPublisher": "map_publisher",
     "MapReceiver": "map_receiver",
+    "from_image": "images",
+    "to_matrix": "poses",
 }
 
 

@@ -47,6 +47,9 @@ constexpr float kHalfLog2 = 0.84932180f;  // sqrt(log2(e) / 2): exp(-x^2 / 2) = 
 constexpr float kMostNodeOpacity = 16;
 constexpr float kLeastPicked = 0.05f;  // least contribution to a pixel that can be picked
 
+constexpr float kSpot = 2;            // 1 / the variance of a disc's spot [1/px^2]
+constexpr float kLeastAhead = 1e-3f;  // the least w of a closed outline (conic.hpp)
+
 constexpr int kTile = 16;  // width and height of a picture's tiles [px]
 
 constexpr int kLevels = 28;         // levels of detail

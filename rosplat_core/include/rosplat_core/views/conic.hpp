@@ -47,12 +47,9 @@
 // Real: a float, a double, or a vector of floats (simd.hpp), so plain operators alone.
 // splat_conic.glsl and rosplat_lab/reference/conics.py have the same.
 
-namespace rosplat {
+#include "rosplat_core/slots/constants.hpp"
 
-// 1 / the variance of a disc's spot. [1/px^2]
-constexpr float kSpot = 2;
-// The least w of a closed outline.
-constexpr float kLeastAhead = 1e-3f;
+namespace rosplat {
 
 template <typename Real>
 struct Rows {
