@@ -11,7 +11,6 @@ plane of the first two axes; and a spot, whose middle is that of the outline at 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rosplat_core import harmonics
 from rosplat_core.cameras import Camera
@@ -92,11 +91,12 @@ def _distances(
     return distances, np.maximum(along @ middle / square * rays[..., 2], 0)
 
 
-def _spot(mean: Array, axes: Array, scales: Array, rays: Array, camera: Camera) -> NDArray:
+def _spot(mean: Array, axes: Array, scales: Array, rays: Array, camera: Camera) -> Array:
     """Squared distances of pixels from the middle of a disc's spot, as _distances."""
     focal, centre = np.array([camera.fx, camera.fy]), np.array([camera.cx, camera.cy])
     flat = axes[:, :2] * scales[:2]
     dual = np.outer(mean, mean) - flat @ flat.T  # of the outline at one deviation
     spot = dual[:2, 2] / dual[2, 2] * focal + centre
     pixels = rays[..., :2] / rays[..., 2:] * focal + centre
-    return SPOT * ((pixels - spot) ** 2).sum(-1)
+    squares: Array = SPOT * ((pixels - spot) ** 2).sum(-1)
+    return squares
