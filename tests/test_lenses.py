@@ -277,22 +277,27 @@ def test_a_straight_picture_stays_as_it_is() -> None:
 
 
 FISHEYE = Lens(64, 64, 30.0, 30.0, 31.5, 31.5, "equidistant")  # to 86 degrees in the corners
+BEHIND = replace(FISHEYE, fx=18.0, fy=18.0)  # to 142 degrees
 
 
 @pytest.mark.parametrize(
-    "lens", [FISHEYE, replace(LENSES["plumb_bob"], width=80)], ids=["fisheye", "plumb_bob"]
+    "lens",
+    [FISHEYE, BEHIND, replace(LENSES["plumb_bob"], width=80)],
+    ids=["fisheye", "behind", "plumb_bob"],
 )
 def test_each_pixel_sees_along_its_own_ray(lens: Lens) -> None:
     """Against brute force over all splats and pixels, which knows no faces and no bounds."""
     splats = cloud(Model.RAY)[:200]
     splats.scales[:] = np.maximum(splats.scales, 0.03)  # no filter catches what falls between rays
     warp = Warp(lens)
-    picture = take_picture(CpuRenderer(splats), warp, EYE, depth="expected")
-    rgba, depth = along_rays(splats, EYE, lens.rays(pixels_of(lens)))
+    rays = lens.rays(pixels_of(lens))
+    eye = EYE if lens is not BEHIND else np.eye(4)  # from within, splats are all around
+    picture = take_picture(CpuRenderer(splats), warp, eye, depth="expected")
+    rgba, depth = along_rays(splats, eye, rays, behind=lens is BEHIND)
     assert decibels(picture.colour, rgba[..., :3]) >= 70
     assert rgba[..., 3].max() > 0.5  # there was something to see
     assert picture.depth is not None
-    solid = rgba[..., 3] > 0.6
+    solid = (rgba[..., 3] > 0.6) & (rays[..., 2] > 0)
     assert np.median(np.abs(picture.depth - depth)[solid]) < 1e-3  # [m]
 
 

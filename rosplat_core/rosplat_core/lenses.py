@@ -34,7 +34,7 @@ STEEPEST = math.radians(84)  # most angle of a ray for polynomials of its tangen
 NEWTON_STEPS = 4
 TOLERANCE = 1e-4  # between a pixel and the projection of the ray found for it [px]
 TILE = 16  # as the rasteriser's [px]
-BEHIND = math.sin(math.radians(4))  # how far behind itself a lens sees that looks ahead
+BEHIND = math.sin(math.radians(4))  # how far behind itself a lens may see that looks ahead
 MARGIN = 3  # around the part of a pinhole picture that is warped, for the filter's taps [px]
 
 
@@ -270,8 +270,9 @@ class Samples(NamedTuple):
     x: NDArray[np.float32]
     """(n,) and y (n,), where the centre of the top left pixel is (0.5, 0.5). [px]"""
     y: NDArray[np.float32]
-    axis: tuple[float, float, float]
-    """The lens's axis in the pinhole camera's frame."""
+    axis: tuple[float, float, float] | None
+    """The lens's axis in the pinhole camera's frame: splats count, and are ordered, by their depths
+    along it. None, for a lens that sees behind itself: by their distances."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,12 +345,8 @@ class Warp:
 
     @property
     def samples(self) -> list[Samples]:
-        """The lens's pixels in the picture of each camera.
-
-        None of a lens without distortion, nor of one that sees far beyond 90 degrees off its axis:
-        there, no depth along the axis tells which splats are in front.
-        """
-        return [part.samples for part in self._parts] if self._ahead else []
+        """The lens's pixels in the picture of each camera; none of a lens without distortion."""
+        return [part.samples for part in self._parts]
 
     def placed(
         self, values: Sequence[NDArray[np.float32]], missing: float = 0.0
@@ -431,7 +428,7 @@ class Warp:
             np.append(0, ends).astype(np.uint32),
             centres[:, 0],
             centres[:, 1],
-            tuple(rotation[:, 2].tolist()),
+            tuple(rotation[:, 2].tolist()) if self._ahead else None,
         )
         pose = np.eye(4)
         pose[:3, :3] = rotation

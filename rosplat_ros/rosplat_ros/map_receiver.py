@@ -102,9 +102,9 @@ class MapReceiver:
         )
 
     def _hear(self, message: GaussianArray) -> None:
-        now, before = self._maps
-        if message.map_id != now:
-            self._maps = message.map_id, now
+        newest, before = self._maps
+        if message.map_id != newest:
+            self._maps = message.map_id, newest
             if message.map_id == before and self._node.count_publishers(self.topic) > 1:
                 self._node.get_logger().warning(
                     f"{self.topic}: publishers clear each other's map: end all but one of them",

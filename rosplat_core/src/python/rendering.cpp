@@ -95,8 +95,9 @@ PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
   return request;
 }
 
-// Samples from Python: where tiles begin, x, y and the lens's axis.
-using Samples = std::tuple<Array<std::uint32_t>, Array<float>, Array<float>, std::array<float, 3>>;
+// Samples from Python: where tiles begin, x, y and the lens's axis, as in PictureSamples.
+using Samples = std::tuple<Array<std::uint32_t>, Array<float>, Array<float>,
+                           std::optional<std::array<float, 3>>>;
 
 py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_depth,
                    bool median_depth, const std::optional<Array<std::uint32_t>>& order,

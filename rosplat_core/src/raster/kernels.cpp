@@ -16,7 +16,7 @@
 #include "raster/simd.hpp"
 #include "rosplat_core/views/conic.hpp"
 
-// For what both projections use, of ellipses and of conics: a call would spill their registers.
+// For what ellipses and conics both use in their loops: a call would spill the loops' registers.
 #define ROSPLAT_INLINED __attribute__((always_inline)) inline
 
 namespace rosplat::cpu::ROSPLAT_TARGET {
@@ -103,6 +103,7 @@ ROSPLAT_INLINED Floats shareOf(const CutView& cut, const float* eye, const Vec3&
 // The depth that counts of a point in the frame of a face of a lens's picture.
 Floats depthThrough(const CullView& view, const Vec3& p) {
   const float* const axis = view.axis;
+  if (view.by_distance) return sqrt(dot(p, p));
   return axis[0] * p.x + axis[1] * p.y + axis[2] * p.z;
 }
 
@@ -815,8 +816,12 @@ void atSamples(const TileSamples& samples, const Record& e, const RayShape& shap
     const Floats dx = x - e.x, dy = y - e.y;
     const Floats u = fma(dx, all(e.ux), fma(dy, all(e.uy), all(shape.u)));
     const Floats v = fma(dx, all(e.vx), fma(dy, all(e.vy), all(shape.v)));
-    const Floats along = fma(dx, all(shape.tilt_x), fma(dy, all(shape.tilt_y), all(shape.along)));
-    const Floats flat = fma(v, v, u * u);
+    Floats along = fma(dx, all(shape.tilt_x), fma(dy, all(shape.tilt_y), all(shape.along)));
+    Floats flat = fma(v, v, u * u);
+    if (samples.half_lines) {  // the largest response is at the camera, 1 / nearness away
+      along = max(along, Floats{});
+      flat = max(flat, all(1e-20f));
+    }
     const Floats over = 1.0f / fma(along, along, shape.nearness * flat);
     const Floats on_ray = fma(-flat, over, peak);
     const Floats beside = x - shape.spot_x, below = y - shape.spot_y;
@@ -898,8 +903,8 @@ bool walk(const ListedTile& tile, const float* transmittance, const float* behin
 
 // Blends a splat into a vector of pixels.
 template <PictureDepth kDepth>
-void blendInto(TilePixels& into, int pixel, Floats falloff, Ints where, const Floats (&colour)[3],
-               Floats depth, float share) {
+ROSPLAT_INLINED void blendInto(TilePixels& into, int pixel, Floats falloff, Ints where,
+                               const Floats (&colour)[3], Floats depth, float share) {
   Floats alpha = min(falloff, all(kMaxAlpha));
   if (share < 1.0f) {
     alpha = share < 0.0f ? all(1.0f) : 1.0f - exp2(share * log2(1.0f - alpha));

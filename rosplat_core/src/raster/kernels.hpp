@@ -30,9 +30,9 @@ struct CullView {
   bool clip_to_box;
   float half_box[3];  // [m]
   CutView cut;
-  // Of a face of a lens's picture: the lens's own axis in the face's frame. The depths that count,
-  // for clips and order, are those along it.
-  bool through_lens;
+  // Of a face of a lens's picture. The depths that count, for clips and order, are those along the
+  // lens's own axis, given in the face's frame; or distances.
+  bool through_lens, by_distance;
   float axis[3];
 };
 
@@ -133,6 +133,7 @@ struct TileSamples {
   const float* x;  // [px]
   const float* y;
   int count;
+  bool half_lines;  // what a ray's line meets behind the camera doesn't count
 };
 
 // A splat in the list of a tile.

@@ -122,7 +122,7 @@ void CpuRasterizer::Work::blendSamples(const PictureRequest& request, SplatPictu
     tile.count = inTile(number);
     tile.records = records.get();
     tile.shapes = shapes.get();
-    tile.samples = {member.opaque, member.divided, int(count)};
+    tile.samples = {member.opaque, member.divided, int(count), !samples.axis};
     tile.ends_at = ends_at;
     tile.pixels = &pixels;
     kernels.blend(tile, request.depth);

@@ -34,7 +34,8 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, const PictureReques
   c.far_clip = view.far_clip;
   c.orthographic = view.orthographic;
   c.through_lens = request.samples.has_value();
-  if (request.samples) std::copy_n(request.samples->axis.begin(), 3, c.axis);
+  c.by_distance = c.through_lens && !request.samples->axis;
+  if (c.through_lens && !c.by_distance) std::copy_n(request.samples->axis->begin(), 3, c.axis);
   c.clip_to_box = box.enabled;
   for (int i = 0; i < 3; ++i) c.half_box[i] = 0.5f * box.size[i];
 

@@ -35,12 +35,13 @@ def along_rays(
     rays: Array,
     *,
     near: float = 0.01,
-    spread: bool = False,
+    behind: bool = False,
     camera: Camera | None = None,
 ) -> tuple[Array, Array]:
     """(..., 4) premultiplied RGBA and (..., ) mean depths along the lens's z of rays (..., 3).
 
-    Splats count, and are ordered, by their depth along z or, if spread, by their distance. camera:
+    Splats count, and are ordered, by their depth along z. behind: by their distance, as for a lens
+    that sees behind itself; what a ray's line meets behind the lens doesn't count then. camera:
     whose pixels the rays are, for the spots of discs; without one, discs have none.
     """
     world = splats.positions.astype(np.float64) + splats.origin
@@ -50,15 +51,20 @@ def along_rays(
     directions = means @ rotation
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     colors = harmonics.colors(splats.sh.astype(np.float64), directions)
-    keys = np.linalg.norm(means, axis=1) if spread else means[:, 2]
+    keys = np.linalg.norm(means, axis=1) if behind else means[:, 2]
     rgba, through = np.zeros((*rays.shape[:-1], 4)), np.ones(rays.shape[:-1])
     depth = np.zeros(rays.shape[:-1])
     for i in np.argsort(keys, kind="stable"):
         if keys[i] < near:
             continue
-        distances, met = _distances(
+        distances, steps = _distances(
             splats.model, means[i], axes[i], splats.scales[i].astype(np.float64), rays
         )
+        met = np.maximum(steps * rays[..., 2], 0)
+        if behind:  # the largest response on the half line is at the lens
+            to_ball = axes[i].T @ means[i] / splats.scales[i]
+            within = np.inf if splats.model is Model.DISC else (to_ball**2).sum()
+            distances = np.where(steps > 0, distances, within)
         if camera is not None and splats.model is Model.DISC:
             spot = _spot(means[i], axes[i], splats.scales[i].astype(np.float64), rays, camera)
             met = np.where(spot < distances, means[i, 2], met)
@@ -76,19 +82,17 @@ def along_rays(
 def _distances(
     model: Model, mean: Array, axes: Array, scales: Array, rays: Array
 ) -> tuple[Array, Array]:
-    """Squared distances of rays from a mean, in standard deviations, and where along z [m]."""
+    """Squared distances of rays from a mean, in standard deviations, and where, in rays."""
     if model is Model.DISC:
         normal = axes[:, 2]
         steps = normal @ mean / (rays @ normal)
         beside = rays * steps[..., None] - mean
-        return ((beside @ axes[:, :2] / scales[:2]) ** 2).sum(-1), np.maximum(
-            steps * rays[..., 2], 0
-        )
+        return ((beside @ axes[:, :2] / scales[:2]) ** 2).sum(-1), steps
     to_ball = axes.T / scales[:, None]
     along, middle = rays @ to_ball.T, to_ball @ mean
     square = (along**2).sum(-1)
     distances = (np.cross(middle, along) ** 2).sum(-1) / square
-    return distances, np.maximum(along @ middle / square * rays[..., 2], 0)
+    return distances, along @ middle / square
 
 
 def _spot(mean: Array, axes: Array, scales: Array, rays: Array, camera: Camera) -> Array:

@@ -8,8 +8,9 @@ is x y z. Teleoperation in Unity writes rot_w rot_x rot_y rot_z.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +75,7 @@ class Reader:
 def messages(kind: type[PointCloud2], splats: Splats, header: Header) -> Iterator[PointCloud2]:
     """One cloud."""
     rows = ply.to_rows(splats)
-    layout = rows.dtype.fields or {}
+    layout: Mapping[str, tuple[Any, ...]] = rows.dtype.fields or {}
     numbers = {np.dtype(code): number for number, code in _TYPES.items()}
     yield kind(
         header=header,
