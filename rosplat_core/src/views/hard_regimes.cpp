@@ -98,7 +98,11 @@ std::vector<std::string> hardRegimes(const MapState& map, const MapSample& sampl
         small || (model == Model::kEwa && seen.pixels > 0 && settings.scale * seen.pixels < kSmall);
     shaken = shaken || seen.scale * camera.rounding > kShaken;
   }
-  if (wide) found.emplace_back("beyond 100 degrees of view, large splats lose their shape");
+  if (wide) {
+    found.emplace_back(
+        "beyond 100 degrees of view, large splats lose their shape: set Model to Ray if the map was "
+        "trained along rays");
+  }
   if (small) {
     found.emplace_back(
         "most splats in view are smaller than a pixel, which makes them fat: set Model to EWA "

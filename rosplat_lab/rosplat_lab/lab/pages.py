@@ -15,7 +15,7 @@ from rosplat_core.program.files import write_below
 from rosplat_lab.bench.records import Record
 from rosplat_lab.lab.atlas import CASES
 from rosplat_lab.lab.atlas.stage import PROCESSOR, SHADERS
-from rosplat_lab.lab.picture import STYLE, named, shown, where
+from rosplat_lab.lab.picture import STYLE, charted, named, where
 from rosplat_lab.lab.points import Point, for_decibels, frontier, points, verdict
 
 MADE = "<!-- Made by `make lab DOCS=docs`, from here to the end. -->\n\n"
@@ -47,21 +47,21 @@ def _accuracy(lab: Kept) -> list[str]:
     for kind, records in lab.items():
         found = points(records)
         scenes = list(dict.fromkeys(p.scene for p in found))
-        first = shown(records)
-        best = frontier(first)
         lines += [
             f"## {'A graphics card' if kind == 'card' else 'Two cores'}",
             "",
             _run(records, kind),
             "",
         ]
-        lines += ["| " + " | ".join(
-            [f"{scenes[0]}, {first[0].splats:,} splats", "ms", "dB", "worst view"]) + " |",
-            "|---|---:|---:|---:|"]  # fmt: skip
-        for p in sorted(named(first), key=lambda p: p.ms or 0):
-            setting = f"**{p.setting}**" if p in best else p.setting
-            lines += [f"| {setting} | {_ms(p)} | {p.psnr:.1f} | {p.worst_view:.1f} |"]
-        lines += ["", "Bold is the frontier. The fastest setting by what is asked for:", ""]
+        for here in charted(records):
+            best = frontier(here)
+            lines += [f"| {here[0].scene}, {here[0].splats:,} splats | ms | dB | worst view |",
+                      "|---|---:|---:|---:|"]  # fmt: skip
+            for p in sorted(named(here), key=lambda p: p.ms or 0):
+                setting = f"**{p.setting}**" if p in best else p.setting
+                lines += [f"| {setting} | {_ms(p)} | {p.psnr:.1f} | {p.worst_view:.1f} |"]
+            lines += [""]
+        lines += ["Bold is the frontier. The fastest setting by what is asked for:", ""]
         lines += ["| | " + " | ".join(f"{least} dB" for least in TARGETS) + " |"]
         lines += ["|---|" + "---|" * len(TARGETS)]
         for scene in scenes:

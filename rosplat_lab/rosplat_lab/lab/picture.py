@@ -1,4 +1,4 @@
-"""accuracy.png: what pays on a graphics card, and on two cores."""
+"""accuracy.png: what pays on a graphics card, and on two cores, for two scenes each."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ STYLE: Any = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "axes.spines
 COLOURS = {
     "rasteriser": "#222222", "order": "#9467bd", "Detail": "#1f77b4",
     "simplify": "#2ca02c", "numbers of a splat": "#ff7f0e", "other renderers": "#d62728",
+    "Model": "#e377c2",
 }  # fmt: skip
+CHARTED = 2  # the first scenes of a record
 MOST_NAMES = 12
 TOP = 95.0  # of the axis [dB]
 DISTANCES = (10, 20, 32, 46, 64, 86, 110)  # of a name from its dot [points]
@@ -34,43 +36,47 @@ ANGLES = sorted(range(-165, 195, 15), key=abs)  # directions from the dot, right
 
 
 def write(folder: Path, kept: Mapping[str, Sequence[Record]]) -> Path:
-    """Writes accuracy.png of the records of each kind of machine: of their first scene."""
+    """Writes accuracy.png of the records of each kind of machine, a row for each."""
     make_folder(folder)
     path = folder / "accuracy.png"
+    rows = [[(where(records), here) for here in charted(records)] for records in kept.values()]
+    across = max(map(len, rows))
     with plt.rc_context(STYLE):
         figure, grid = plt.subplots(
-            1, len(kept), figsize=(6.2 * len(kept), 5.2), layout="constrained", sharey=True,
-            squeeze=False, dpi=100,
+            len(rows), across, figsize=(6.2 * across, 5.2 * len(rows)), layout="constrained",
+            sharey=True, squeeze=False, dpi=100,
         )  # fmt: skip
-        for axes, records in zip(grid[0], kept.values(), strict=True):
-            _dots(axes, records)
-        grid[0][0].set_ylabel("PSNR against the float64 reference [dB]")
+        panels = []
+        for row, row_of_axes in zip(rows, grid, strict=True):
+            row_of_axes[0].set_ylabel("PSNR against the float64 reference [dB]")
+            for axes in row_of_axes[len(row) :]:
+                axes.axis("off")
+            for axes, (machine, here) in zip(row_of_axes, row, strict=False):
+                _dots(axes, here, machine)
+                panels.append((axes, here))
         handles = {
             label: handle
-            for axes in grid[0]
+            for axes, _ in panels
             for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
         }
         figure.legend(
-            handles.values(),
-            handles.keys(),
-            loc="outside lower center",
-            ncols=4 * len(kept),
+            handles.values(), handles.keys(), loc="outside lower center", ncols=4 * across,
             fontsize=8,
-        )
+        )  # fmt: skip
         figure.canvas.draw()  # settles the layout; then the dots stay
         figure.set_layout_engine("none")
-        for axes, records in zip(grid[0], kept.values(), strict=True):
-            here = shown(records)
+        for axes, here in panels:
             name(axes, here, named(here))
         figure.savefig(path)
         plt.close(figure)
     return path
 
 
-def shown(records: Sequence[Record]) -> list[Point]:
-    """The points of the first scene that are held against each other."""
-    found = points(records)
-    return [p for p in found if p.scene == found[0].scene and p.ms is not None and not p.aside]
+def charted(records: Sequence[Record]) -> list[list[Point]]:
+    """The points of each charted scene that are held against each other."""
+    found = [p for p in points(records) if p.ms is not None and not p.aside]
+    scenes = list(dict.fromkeys(p.scene for p in found))[:CHARTED]
+    return [[p for p in found if p.scene == scene] for scene in scenes]
 
 
 def named(here: Sequence[Point]) -> list[Point]:
@@ -95,8 +101,7 @@ def where(records: Sequence[Record]) -> str:
     return card or f"{cores}, no graphics card"
 
 
-def _dots(axes: Any, records: Sequence[Record]) -> None:
-    here = shown(records)
+def _dots(axes: Any, here: Sequence[Point], machine: str) -> None:
     for family, colour in COLOURS.items():
         members = [p for p in here if p.family == family]
         if members:
@@ -119,9 +124,7 @@ def _dots(axes: Any, records: Sequence[Record]) -> None:
         LogFormatter(minor_thresholds=(2, 0.6)) if decades < 1.5 else NullFormatter()
     )
     axes.set_xlabel("a picture, sorted and drawn [ms]")
-    axes.set_title(
-        f"{where(records)}\n{here[0].scene}, {here[0].splats:,} splats, 1280x720", fontsize=9
-    )
+    axes.set_title(f"{machine}\n{here[0].scene}, {here[0].splats:,} splats, 1280x720", fontsize=9)
 
 
 def name(axes: Any, here: Sequence[Point], chosen: Sequence[Point]) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from rosplat_core import payload
 from rosplat_core.cameras import Camera
+from rosplat_core.models import Model
 from rosplat_core.rendering import batches
 from rosplat_core.simplification.search import Simplification
 from rosplat_core.splats import Splats
@@ -27,6 +28,9 @@ LATE = "an order that is late"
 OURS = "ours"  # the display's on a graphics card, else the processor's rasteriser
 DISPLAY = "display"
 WINDOW = "window"  # the display's, read as a screen gets it
+
+# Models that maps of three scales are drawn in, as the property names them.
+MODELS = {Model.EWA: "EWA", Model.EWA_ANTIALIASED: "EWA Antialiased", Model.RAY: "Ray"}
 
 WHOLE = "whole"
 MOST_SIMPLIFIED = 1_000_000  # splats that `simplify` is tried with
@@ -72,6 +76,9 @@ def ways(splats: Splats, card: bool, quick: bool) -> Iterator[Way]:
     else:
         yield Way("Rasterizer: Tiles, by Mesa", "rasteriser", {"rasterizer": "TILES"}, by=DISPLAY)
     yield Way("the defaults, in a window of 8 bits", "rasteriser", by=WINDOW)
+    for model, text in MODELS.items():  # the reference draws the map's own
+        if model is not splats.model:
+            yield Way(f"Model: {text}", "Model", {"model": model})
 
     given = {"order": "SIDECAR", "float_blending": True}
     exact = partial(Way, family="order", settings=given, by=DISPLAY)

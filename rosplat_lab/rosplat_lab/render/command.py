@@ -24,6 +24,7 @@ from rclpy.client import Client
 from tqdm import tqdm
 
 from rosplat_core.cameras import Camera, load_cameras, picture_of
+from rosplat_core.models import Model
 from rosplat_core.program.files import replacing, write_text
 from rosplat_core.program.output import say, told
 from rosplat_core.scenes import NAMES, check_scene
@@ -247,6 +248,10 @@ def main(arguments: list[str] | None = None) -> int:
         "--detail", default="full", metavar="D",
         help="how much of the map to draw: full, an error (1.5px) or a number of splats (800k)",
     )  # fmt: skip
+    parser.add_argument(
+        "--model", choices=[str(model) for model in Model],
+        help="how the map was trained, where its file does not say so",
+    )  # fmt: skip
     options = parser.parse_args(arguments)
     rows: list[dict[str, object]] = []
 
@@ -272,8 +277,11 @@ def main(arguments: list[str] | None = None) -> int:
         check(options.cameras, cameras)
         check_scene(options.scene)
         make_folder(options.out)
+        publisher = ["ply_publisher", "-p", f"path:={quoted(options.scene)}"]
+        if options.model:
+            publisher += ["-p", f"model:={options.model}"]
         render(
-            ("ply_publisher", "-p", f"path:={quoted(options.scene)}"), cameras,
+            publisher, cameras,
             via=options.via, sidecar=options.sidecar,
             float_blending=options.float_blending, detail=options.detail,
             log_folder=options.out / "log", on_picture=keep,
@@ -288,6 +296,7 @@ def main(arguments: list[str] | None = None) -> int:
         "via": options.via,
         "float_blending": options.float_blending,
         "detail": options.detail,
+        "model": options.model or "",
     }
     write_report(options.out / "report.json", settings | {"command": command}, rows)
     for row in rows:

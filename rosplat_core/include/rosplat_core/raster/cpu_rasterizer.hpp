@@ -42,8 +42,8 @@ struct PictureLayer {
 struct PictureSamples {
   ArrayView<std::uint32_t> begins;  // of each tile's samples, row by row of tiles, and the end
   ArrayView<float> x, y;            // sorted by tile [px]
-  // The lens's own axis in the face's frame: depths along it decide on clips and order. Unset, for a
-  // lens that sees behind itself: distances do, and what a ray's line meets behind the camera
+  // The lens's own axis in the face's frame: depths along it decide on clips and order. Unset, for
+  // a lens that sees behind itself: distances do, and what a ray's line meets behind the camera
   // doesn't count.
   std::optional<std::array<float, 3>> axis;
 };
