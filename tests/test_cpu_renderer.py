@@ -85,6 +85,43 @@ def test_maps_beside_each_other_match_the_twin_of_their_union(
         draw(renderer, CAMERAS[view], beside=others, order=np.zeros(1, np.uint32))
 
 
+@pytest.mark.parametrize("model", Model, ids=str)
+@pytest.mark.parametrize("view", CAMERAS)
+def test_opaque_objects_hide_what_is_behind_them(
+    renderer: CpuRenderer, view: str, model: Model
+) -> None:
+    camera, splats = CAMERAS[view], cloud(model)
+    insert_all(renderer, splats)
+    # A wall that leans through the cloud, with a hole.
+    row, column = np.mgrid[: camera.height, : camera.width]
+    depth = (0.1 + 3 * column / camera.width).astype(np.float32)
+    depth[np.hypot(row - 60, column - 90) < 25] = np.inf
+    picture = renderer.render(camera, scene_depth=depth)
+    expected = reference.render(splats, camera, scene_depth=depth).rgba
+    assert decibels(picture, expected) >= 75
+    hidden = reference.render(splats, camera).rgba - expected
+    assert np.abs(hidden).max() > 0.02  # there was something to hide
+
+
+def test_no_objects_are_nothing_else_than_objects_at_infinity(renderer: CpuRenderer) -> None:
+    camera = CAMERAS["outside"]
+    insert_all(renderer, cloud())
+    nowhere = np.full((camera.height, camera.width), np.inf, np.float32)
+    np.testing.assert_array_equal(
+        renderer.render(camera, scene_depth=nowhere), renderer.render(camera)
+    )
+
+
+@pytest.mark.parametrize("depth", [np.nan, 0.0, -1.0])
+def test_depths_that_no_object_can_have_are_refused(depth: float) -> None:
+    camera = CAMERAS["outside"]
+    depths = np.full((camera.height, camera.width), depth, np.float32)
+    with pytest.raises(ValueError, match="scene_depth: expected depths in front of the camera"):
+        CpuRenderer(cloud()).render(camera, scene_depth=depths)
+    with pytest.raises(ValueError, match=r"scene_depth: expected float32 \(height, width\)"):
+        CpuRenderer(cloud()).render(camera, scene_depth=depths[1:])
+
+
 def test_a_model_can_be_forced(renderer: CpuRenderer) -> None:
     insert_all(renderer, cloud())
     renderer.settings.model = Model.EWA_ANTIALIASED

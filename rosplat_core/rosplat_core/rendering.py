@@ -74,11 +74,18 @@ class CpuRenderer(_core.CpuRenderer):
         """The model that it draws by."""
         return Model(self.map.model if self.settings.model is None else self.settings.model)
 
-    def render(self, camera: Camera) -> NDArray[np.float32]:
-        """What a camera sees: premultiplied RGBA over nothing, float32 (height, width, 4)."""
+    def render(
+        self, camera: Camera, *, scene_depth: NDArray[np.float32] | None = None
+    ) -> NDArray[np.float32]:
+        """What a camera sees: premultiplied RGBA over nothing, float32 (height, width, 4).
+
+        scene_depth: (height, width) depths of opaque objects along the camera's z [m], inf where
+        there is none. They hide the splats whose centres are behind them: the picture over a
+        picture of the objects is one of both. Raises ValueError for depths that no object can have.
+        """
         if not isinstance(camera, Camera):
             raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
-        colour: NDArray[np.float32] = self.draw(posed(camera))["colour"]
+        colour: NDArray[np.float32] = self.draw(posed(camera), scene_depth=scene_depth)["colour"]
         return colour
 
     def snapshot(self) -> tuple[NDArray[np.uint32], Splats]:

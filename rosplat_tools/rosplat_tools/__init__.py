@@ -1,4 +1,4 @@
-"""Scenes of 3D Gaussians: publishers, cameras in a map, an emulated SLAM node and robot.
+"""Scenes of 3D Gaussians: publishers, cameras and simulated robots in a map, emulated sensors.
 
 The names here are the public interface, each loaded at its first use. The modules are private.
 """
@@ -10,12 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rosplat_tools.following.whole_maps import WholeMaps
+    from rosplat_tools.simulation.splat_camera import SplatCamera
 
 __all__ = [
+    "SplatCamera",
     "WholeMaps",
 ]
 
 _MODULES = {
+    "SplatCamera": "simulation.splat_camera",
     "WholeMaps": "following.whole_maps",
 }
 

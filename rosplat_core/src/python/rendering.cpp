@@ -1,11 +1,14 @@
 // The rasteriser for Python.
 
 #include <algorithm>
+#include <cmath>
 #include <memory>
 #include <numeric>
 #include <optional>
+#include <stdexcept>
 #include <tuple>
 #include <utility>
+#include <vector>
 
 #include "python/module.hpp"
 #include "rosplat_core/levels/detail.hpp"
@@ -15,6 +18,7 @@
 #include "rosplat_core/raster/cpu_rasterizer.hpp"
 #include "rosplat_core/slots/model.hpp"
 #include "rosplat_core/views/render_settings.hpp"
+#include "rosplat_core/views/splat_camera.hpp"
 
 namespace rosplat::python {
 
@@ -99,15 +103,48 @@ PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
 using Samples = std::tuple<Array<std::uint32_t>, Array<float>, Array<float>,
                            std::optional<std::array<float, 3>>>;
 
-py::dict drawOnCpu(CpuRenderer& renderer, const SplatCamera& camera, bool mean_depth,
-                   bool median_depth, const std::optional<Array<std::uint32_t>>& order,
-                   const std::vector<CpuRenderer*>& beside, const std::optional<Samples>& samples) {
+// Window depths of opaque objects at depths z [m], rounded as the kernels round those of splats.
+// Sets the camera's depth buffer.
+std::vector<float> windowDepths(SplatCamera& camera, const Array<float>& z) {
+  if (z.ndim() != 2 || z.shape(0) != camera.height || z.shape(1) != camera.width) {
+    throw std::invalid_argument("scene_depth: expected float32 (height, width) of the camera");
+  }
+  const double near_clip = camera.near_clip;
+  double far_clip = near_clip + 1;  // just beyond all objects: an orthographic buffer is uniform
+  std::for_each(z.data(), z.data() + z.size(), [&](float depth) {
+    if (std::isfinite(depth)) far_clip = std::max(far_clip, 1.01 * depth);
+  });
+  far_clip = std::min(far_clip, depthRange(near_clip, camera.far_clip));
+  std::tie(camera.ndc_scale, camera.ndc_offset) =
+      depthBuffer(camera.orthographic, near_clip, far_clip);
+  const float scale = float(camera.ndc_scale), offset = float(camera.ndc_offset);
+  const float farthest = float(far_clip);  // beyond it, nothing hides anything
+  std::vector<float> depths(std::size_t(z.size()));
+  std::transform(z.data(), z.data() + z.size(), depths.begin(), [&](float depth) {
+    if (!(camera.orthographic ? depth == depth : depth > 0)) {
+      throw std::invalid_argument("scene_depth: expected depths in front of the camera, or inf");
+    }
+    if (depth >= farthest) return 1.0f;
+    const float ndc = (scale * depth + offset) / (camera.orthographic ? 1.0f : depth);
+    return std::clamp(0.5f * ndc + 0.5f, 0.0f, 1.0f);
+  });
+  return depths;
+}
+
+py::dict drawOnCpu(CpuRenderer& renderer, SplatCamera camera, bool mean_depth, bool median_depth,
+                   const std::optional<Array<std::uint32_t>>& order,
+                   const std::vector<CpuRenderer*>& beside, const std::optional<Samples>& samples,
+                   const std::optional<Array<float>>& scene_depth) {
   if (mean_depth && median_depth) throw std::invalid_argument("a picture has one depth");
   if (order && !beside.empty()) throw std::invalid_argument("an order is of one map alone");
+  if (samples && scene_depth) throw std::invalid_argument("samples are drawn without objects");
+  std::vector<float> opaque;
+  if (scene_depth) opaque = windowDepths(camera, *scene_depth);
   PictureRequest request = requestOf(renderer, camera, order);
   for (const CpuRenderer* other : beside) request.layers.push_back(layerOf(*other, camera));
   if (mean_depth) request.depth = PictureDepth::kMean;
   if (median_depth) request.depth = PictureDepth::kMedian;
+  request.scene_depth = opaque;
   if (samples) {
     const auto& [begins, x, y, axis] = *samples;
     request.samples = PictureSamples{begins, x, y, axis};
@@ -325,8 +362,10 @@ void defineRendering(py::module_& module) {
       .def_readwrite("settings", &CpuRenderer::settings)
       .def("draw", &drawOnCpu, "camera"_a, "mean_depth"_a = false, "median_depth"_a = false,
            "order"_a = py::none(), "beside"_a = std::vector<CpuRenderer*>(),
-           "samples"_a = py::none(),
-           "Draws the map; and, in one order with it, those of other renderers in the same frame.")
+           "samples"_a = py::none(), "scene_depth"_a = py::none(),
+           "Draws the map; and, in one order with it, those of other renderers in the same frame. "
+           "scene_depth: depths of opaque objects (height, width) [m], which hide splats whose "
+           "centres are behind them; inf where there is none.")
       .def("merge", &merge, py::call_guard<py::gil_scoped_release>())
       .def("splats", &splatsOf)
       .def("nodes", &nodesOf, "level"_a, "group"_a = 0)

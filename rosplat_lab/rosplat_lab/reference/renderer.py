@@ -38,6 +38,7 @@ def render(
     shares: Array | None = None,
     max_alpha: float = MAX_ALPHA,
     min_transmittance: float = 0.0,
+    scene_depth: Array | None = None,
 ) -> Picture:
     """Draws splats in float64.
 
@@ -46,7 +47,8 @@ def render(
     out are not drawn. shares: (n,) how much of each splat is drawn, as of levels of detail; all, if
     not given. max_alpha caps a splat's alpha. A pixel is finished by the splat that would take its
     transmittance to min_transmittance or below (INRIA and gsplat: 1e-4); 0 blends everything.
-    Raises ValueError for a crop outside the picture.
+    scene_depth: (height, width) depths of opaque objects [m], inf where there is none; a splat
+    whose centre is behind them is hidden. Raises ValueError for a crop outside the picture.
     """
     left, top, right, bottom = crop or (0, 0, camera.width, camera.height)
     if not (0 <= left < right <= camera.width and 0 <= top < bottom <= camera.height):
@@ -55,7 +57,7 @@ def render(
     projected = projected[_front_to_back(projected, order, len(splats))]
     return blended(
         projected, (left, top, right, bottom), max_alpha=max_alpha,
-        min_transmittance=min_transmittance,
+        min_transmittance=min_transmittance, scene_depth=scene_depth,
     )  # fmt: skip
 
 
@@ -66,6 +68,7 @@ def blended(
     min_alpha: float = MIN_ALPHA,
     max_alpha: float = MAX_ALPHA,
     min_transmittance: float = 0.0,
+    scene_depth: Array | None = None,
 ) -> Picture:
     """The crop of a picture of projected splats, nearest first. Alpha below min_alpha is not
     drawn."""
@@ -75,8 +78,9 @@ def blended(
     for y, x, members in _tiles(projected, left, top, right, bottom):
         ys = np.arange(y, min(y + TILE, bottom))
         xs = np.arange(x, min(x + TILE, right))
+        opaque = None if scene_depth is None else scene_depth[np.ix_(ys, xs)]
         tile_rgba, weighted_z, middle = _blend(
-            projected[members], xs, ys, (min_alpha, max_alpha), min_transmittance
+            projected[members], xs, ys, (min_alpha, max_alpha), min_transmittance, opaque
         )
         window = np.s_[y - top : y - top + len(ys), x - left : x - left + len(xs)]
         rgba[window] = tile_rgba
@@ -188,13 +192,14 @@ def _blend(
     ys: NDArray[np.intp],
     alphas: tuple[float, float],
     min_transmittance: float,
+    opaque: Array | None,
 ) -> tuple[Array, Array, Array]:
     """Blends splats, nearest first: (h, w, 4) premultiplied RGBA, (h, w) weights * z, median z."""
     values = np.column_stack([splats.colors, np.ones(len(splats.slots))])
     blended = np.zeros((len(ys), len(xs), 4))
     weighted_z = np.zeros((len(ys), len(xs)))
     median = np.full((len(ys), len(xs)), np.nan)
-    for part, weights, depths in _weights(splats, xs, ys, alphas, min_transmittance):
+    for part, weights, depths in _weights(splats, xs, ys, alphas, min_transmittance, opaque):
         half = blended[..., 3] + np.cumsum(weights, axis=0) >= 0.5
         crossed = np.isnan(median) & half.any(axis=0)
         first = np.take_along_axis(depths, half.argmax(axis=0)[None], axis=0)[0]
@@ -210,11 +215,13 @@ def _weights(
     ys: NDArray[np.intp],
     alphas: tuple[float, float],
     min_transmittance: float,
+    opaque: Array | None = None,
 ) -> Iterator[tuple[slice, Array, Array]]:
     """Yields parts of the splats, nearest first, and (n, h, w) what each adds to each pixel, and
     at what depth [m].
 
-    alphas: the least alpha that is drawn, and the most that a splat has.
+    alphas: the least alpha that is drawn, and the most that a splat has. opaque: (h, w) depths
+    beyond which centres of splats are hidden [m].
     """
     min_alpha, max_alpha = alphas
     transmittance = np.ones((len(ys), len(xs)))
@@ -224,6 +231,8 @@ def _weights(
         peaks = splats.opacities[part, None, None]
         alpha = np.minimum(max_alpha, peaks * np.exp(-0.5 * distances))
         alpha[~(alpha >= min_alpha)] = 0
+        if opaque is not None:
+            alpha[splats.depths[part, None, None] > opaque] = 0
         alpha = 1 - (1 - alpha) ** splats.shares[part, None, None]
         after = transmittance * np.cumprod(1 - alpha, axis=0)
         before = np.concatenate([transmittance[None], after[:-1]])

@@ -1,0 +1,42 @@
+"""MuJoCo, which needs a Python package of its own, and models of files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rosplat_core.log_text import shown
+from rosplat_core.splats import SceneError
+
+
+def load_mujoco() -> Any:
+    """The module. Raises SceneError, naming the package, where it is not installed."""
+    try:
+        import mujoco as found  # which takes a while
+    except ImportError as error:
+        raise SceneError("MuJoCo needs the Python package mujoco: pip install mujoco") from error
+    return found
+
+
+def read_spec(path: str | Path) -> Any:
+    """The MjSpec of an MJCF file, to be added to and compiled. Raises SceneError, naming the file.
+
+    Names that are there twice are found when it is compiled.
+    """
+    try:
+        return load_mujoco().MjSpec.from_file(str(path))
+    except (ValueError, RuntimeError) as error:
+        raise SceneError(f"{path}: {_reason(error)}") from error
+
+
+def compiled(spec: Any, path: str | Path) -> Any:
+    """The MjModel of a spec of a file. Raises SceneError, naming the file: meshes that are missing,
+    names that are there twice, numbers that make no sense."""
+    try:
+        return spec.compile()
+    except (ValueError, RuntimeError) as error:
+        raise SceneError(f"{path}: {_reason(error)}") from error
+
+
+def _reason(error: Exception) -> str:
+    return shown(" ".join(str(error).split()).removeprefix("Error: "), 300)

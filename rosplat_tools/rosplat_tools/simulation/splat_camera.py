@@ -1,0 +1,136 @@
+"""What cameras of a MuJoCo model see: its bodies and a map of splats in one picture. Knows no ROS.
+
+How it works. MuJoCo draws the bodies (body_pictures.py). The rasteriser blends the splats whose
+centres are in front of a pixel's body, front to back, and what light is left shows the body: that
+is exact for translucent splats on either side of a body, and for bodies within the map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rosplat_core.cameras import Camera
+from rosplat_core.rendering import CpuRenderer, posed
+from rosplat_core.rigid import rigid
+from rosplat_core.splats import Splats
+from rosplat_tools.simulation.body_pictures import BodyPicture, BodyPictures, NoGL, camera_of
+from rosplat_tools.simulation.physics import load_mujoco
+
+SURFACE = 0.5  # least share of the light that a surface of splats takes away
+
+
+@dataclass(frozen=True, eq=False)
+class SplatPicture:
+    """What a camera sees of bodies and a map."""
+
+    colour: NDArray[np.uint8]
+    """(height, width, 3) RGB over black."""
+    depth: NDArray[np.float32]
+    """(height, width) along the camera's z [m]; inf where nothing takes half of the light."""
+    bodies: NDArray[np.uint16] | None
+    """(height, width) numbers of bodies, 0 for splats, the world, and nothing; None if not asked
+    for."""
+    camera: Camera
+    """That took it, in MuJoCo's world."""
+
+
+class SplatCamera:
+    """Takes pictures with the cameras of a MuJoCo model that stands in a map. One thread draws."""
+
+    def __init__(
+        self,
+        model: Any,
+        data: Any,
+        splats: Splats | CpuRenderer,
+        *,
+        map_pose: ArrayLike | None = None,
+        width: int = 640,
+        height: int = 360,
+        near: float = 0.02,
+        far: float = 1e4,
+    ) -> None:
+        """model, data: MjModel and MjData. splats: a map, or a renderer that holds one, which
+        several SplatCameras may share. map_pose: (4, 4) the map's pose in MuJoCo's world [m].
+        width, height: of pictures of cameras without a resolution of their own [px]. near, far:
+        distances between which things are drawn [m].
+
+        Where nothing draws with OpenGL, pictures are of the map alone, and `problem` says why.
+        Raises ValueError for a pose that is none, SceneError where MuJoCo is not installed.
+        """
+        self._mj = load_mujoco()
+        self._model, self._data = model, data
+        self.renderer = splats if isinstance(splats, CpuRenderer) else CpuRenderer(splats)
+        self.map_pose = rigid(np.eye(4) if map_pose is None else map_pose, "map_pose")
+        self._size, self._clip = (width, height), (near, far)
+        self.problem = ""
+        """Why bodies are not drawn; empty if they are."""
+        self._bodies: BodyPictures | None = None
+        try:
+            self._bodies = BodyPictures(model, width, height)
+        except NoGL as error:
+            self.problem = str(error)
+
+    def render(self, camera: int | str) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Colours (height, width, 3) and depths (height, width) that a camera sees, as of
+        SplatPicture. camera: its number or name. Raises ValueError for one that there is not."""
+        picture = self.picture(camera)
+        return picture.colour, picture.depth
+
+    def picture(self, camera: int | str, *, bodies: bool = False) -> SplatPicture:
+        """As render(); bodies: also which body is where."""
+        lens = self.camera(camera)
+        solid = (
+            self._bodies.draw(self._data, lens.id, lens, bodies=bodies) if self._bodies else None
+        )
+        in_map = Camera(**(vars(lens) | {"world_to_camera": lens.world_to_camera @ self.map_pose}))
+        drawn = self.renderer.draw(
+            posed(in_map), median_depth=True, scene_depth=solid.depth if solid else None
+        )
+        return _together(drawn["colour"], drawn["depth"][..., 0], solid, lens, bodies)
+
+    def camera(self, camera: int | str) -> Camera:
+        """A camera of the model, by its number or name, as it is now in MuJoCo's world."""
+        number = camera
+        if isinstance(camera, str):
+            number = self._mj.mj_name2id(self._model, self._mj.mjtObj.mjOBJ_CAMERA, camera)
+        if not isinstance(number, int) or not 0 <= number < self._model.ncam:
+            names = ", ".join(self._model.camera(i).name for i in range(self._model.ncam))
+            raise ValueError(f"camera '{camera}': the model has {names or 'none'}")
+        own = self._model.cam_resolution[number].tolist()
+        width, height = own if min(own) > 1 else self._size
+        return camera_of(self._model, self._data, number, width, height, *self._clip)
+
+    def close(self) -> None:
+        """Frees what the graphics driver holds. Later pictures are of the map alone."""
+        if self._bodies:
+            self._bodies.close()
+        self._bodies, self.problem = None, "closed"
+
+
+def _together(
+    colour: NDArray[np.float32],
+    median: NDArray[np.float32],
+    solid: BodyPicture | None,
+    camera: Camera,
+    bodies: bool,
+) -> SplatPicture:
+    """The picture of splats, premultiplied (height, width, 4), over that of bodies."""
+    rgb, alpha = colour[..., :3], colour[..., 3:]
+    surface = alpha[..., 0] >= SURFACE
+    if solid:
+        rgb = rgb + (1 - alpha) * (solid.colour * np.float32(1 / 255))
+    depth = np.where(surface, median, solid.depth if solid else np.float32(np.inf))
+    numbers = None
+    if bodies:
+        numbers = np.zeros(depth.shape, np.uint16)
+        if solid and solid.bodies is not None:
+            numbers = np.where(surface, np.uint16(0), solid.bodies)
+    return SplatPicture(_bytes(rgb), depth, numbers, camera)
+
+
+def _bytes(colours: NDArray[np.float32]) -> NDArray[np.uint8]:
+    return (255 * np.clip(colours, 0, 1) + 0.5).astype(np.uint8)

@@ -1,0 +1,202 @@
+"""MuJoCo's bodies and a map in one picture, against the float64 twin with bodies as surfaces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drawing import decibels
+from rosplat_core.cameras import look_at
+from rosplat_core.rendering import CpuRenderer, posed
+from rosplat_core.splats import SceneError, Splats
+from rosplat_lab import reference
+from rosplat_tools.simulation import body_pictures
+from rosplat_tools.simulation.splat_camera import SplatCamera
+
+mujoco = pytest.importorskip("mujoco", reason="no mujoco here (PyPI)")
+
+# Without lights, a body has the colour that it emits: pictures of bodies are known exactly.
+MODEL = """
+<mujoco>
+  <statistic extent="3" center="0 0 0.5"/>
+  <visual><headlight ambient="0 0 0" diffuse="0 0 0" specular="0 0 0"/></visual>
+  <asset>
+    <material name="red" rgba="0.8 0.2 0.1 1" emission="1"/>
+    <material name="blue" rgba="0.1 0.3 0.9 1" emission="1"/>
+    <mesh name="ball" builtin="sphere" params="3" scale="0.35 0.35 0.35"/>
+    <material name="glass" rgba="0.2 0.9 0.4 0.3" emission="1"/>
+  </asset>
+  <worldbody>
+    <camera name="first" pos="0 -3 1" xyaxes="1 0 0 0 0.2 1" fovy="50" resolution="160 110"/>
+    <camera name="lens" pos="2 -1.5 1" xyaxes="0.6 0.8 0 -0.2 0.15 1" resolution="170 120"
+      sensorsize="0.004 0.003" focal="0.004 0.0042" principal="0.0002 -0.0001"/>
+    <camera name="flat" pos="0 0.2 4" xyaxes="1 0 0 0 1 0" projection="orthographic" fovy="2.5"/>
+    <geom name="wall" type="box" size="1.5 0.05 0.6" pos="0 1.2 0.3" material="glass"/>
+    <geom name="unseen" type="box" size="3 3 3" group="3"/>
+    <body name="ball" pos="0.2 -0.2 0.5">
+      <freejoint/>
+      <geom type="mesh" mesh="ball" material="red"/>
+    </body>
+    <body name="box" pos="-0.6 0.2 0.4">
+      <geom type="box" size="0.2 0.3 0.4" euler="20 30 40" material="blue"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+CAMERAS = ("first", "lens", "flat")
+COLOURS = {"ball": (0.8, 0.2, 0.1), "box": (0.1, 0.3, 0.9), "world": (0.2, 0.9, 0.4)}
+
+
+def cloud() -> Splats:
+    """Splats of all opacities, in front of the bodies, behind them, and within."""
+    random, count = np.random.default_rng(5), 500
+    orientations = random.normal(size=(count, 4)).astype(np.float32)
+    return Splats(
+        positions=random.normal((0, 0, 0.5), (0.8, 0.8, 0.4), (count, 3)).astype(np.float32),
+        orientations=orientations / np.linalg.norm(orientations, axis=1, keepdims=True),
+        scales=(0.15 * random.uniform(0.05, 1, size=(count, 3)) ** 2).astype(np.float32),
+        opacities=random.uniform(0.05, 1, count).astype(np.float32),
+        sh=random.normal(scale=0.8, size=(count, 1, 3)).astype(np.float32),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def model() -> Any:
+    return mujoco.MjModel.from_xml_string(MODEL)
+
+
+@pytest.fixture
+def data(model: Any) -> Any:
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def cast(model: Any, data: Any, camera: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Depths along z and bodies (height, width) by MuJoCo's own rays, in float64; -1: no body."""
+    y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+    u, v = (x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy
+    pose = camera.camera_to_world
+    if camera.orthographic:
+        eyes = np.stack([u, v, 0 * u, np.ones_like(u)], -1).reshape(-1, 4) @ pose.T[:, :3]
+        rays = np.broadcast_to(pose[:3, 2], eyes.shape)
+    else:
+        rays = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3) @ pose[:3, :3].T
+        eyes = np.broadcast_to(pose[:3, 3], rays.shape)
+    groups, geometry = np.array([1, 1, 1, 0, 0, 0], np.uint8), np.zeros(1, np.int32)
+    depths, bodies = np.full(len(rays), np.inf), np.full(len(rays), -1)
+    for i, (eye, ray) in enumerate(zip(eyes, rays, strict=True)):
+        distance = mujoco.mj_ray(model, data, eye, ray, groups, 1, -1, geometry, None)
+        if distance >= 0:  # in lengths of the ray, whose z is 1
+            depths[i], bodies[i] = distance, model.geom_bodyid[geometry[0]]
+    return depths.reshape(y.shape), bodies.reshape(y.shape)
+
+
+def edge(bodies: np.ndarray) -> np.ndarray:
+    """Whether a pixel's neighbours are of another body."""
+    found = np.zeros(bodies.shape, bool)
+    for axis in (0, 1):
+        differ = np.diff(bodies, axis=axis) != 0
+        pad = [(0, 0), (0, 0)]
+        for pad[axis] in ((0, 1), (1, 0)):
+            found |= np.pad(differ, pad)
+    return found
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_bodies_are_where_rays_meet_them(model: Any, data: Any, name: str) -> None:
+    """To the pixel, edges included: but for rays that pass an edge by next to nothing."""
+    eye = SplatCamera(model, data, cloud()[:0], width=150, height=130)
+    assert eye.problem == ""
+    picture = eye.picture(name, bodies=True)
+    depths, bodies = cast(model, data, picture.camera)
+    assert picture.bodies is not None
+    seen = np.isfinite(depths)
+    assert seen.mean() > 0.1
+    off = (np.isfinite(picture.depth) != seen) | (picture.bodies != bodies.clip(0))
+    assert not (off & ~edge(bodies)).any()
+    assert off.mean() < 2e-4
+    near = seen & ~off
+    np.testing.assert_allclose(picture.depth[near], depths[near], rtol=1e-3)
+    expected = np.array([COLOURS[model.body(int(b)).name] for b in bodies[near]])
+    assert np.abs(picture.colour[near] / 255 - expected).max() < 1.5 / 255
+
+
+@pytest.mark.parametrize("placed", [False, True])
+@pytest.mark.parametrize("name", CAMERAS)
+def test_matches_the_float64_twin(model: Any, data: Any, name: str, placed: bool) -> None:
+    splats, pose = cloud(), np.eye(4)
+    if placed:
+        pose = np.linalg.inv(look_at((0.3, 0.1, 0.2), (0.2, 0.6, 0.4)))
+        splats = replace(
+            splats, positions=((splats.positions - pose[:3, 3]) @ pose[:3, :3]).astype("f4")
+        )
+    eye = SplatCamera(model, data, splats, map_pose=pose, width=150, height=130)
+    picture = eye.picture(name)
+    camera = picture.camera
+    depths, bodies = cast(model, data, camera)
+    in_map = replace(camera, world_to_camera=camera.world_to_camera @ pose)
+    twin = reference.render(splats, in_map, scene_depth=depths)
+    colours = np.array([COLOURS[model.body(b).name] for b in range(model.nbody)] + [(0, 0, 0)])
+    expected = twin.rgba[..., :3] + (1 - twin.rgba[..., 3:]) * colours[bodies]
+    expected = np.round(255 * expected.clip(0, 1)) / 255
+    assert decibels(picture.colour / 255, expected) >= 60
+    surface = twin.rgba[..., 3] >= 0.5
+    clear = np.abs(twin.rgba[..., 3] - 0.5) > 0.01
+    depth = np.where(surface, twin.median, depths)
+    assert (surface & clear).mean() > 0.1
+    assert (~surface & clear & np.isfinite(depths)).mean() > 0.02  # bodies are seen, too
+    same = np.isclose(picture.depth, depth, rtol=1e-3)
+    assert same[clear].mean() > 0.998
+
+
+def test_render_is_the_picture_without_the_bodies(model: Any, data: Any) -> None:
+    eye = SplatCamera(model, data, cloud())
+    rgb, depth = eye.render("first")
+    picture = eye.picture(0, bodies=True)
+    assert rgb.dtype == np.uint8 and rgb.shape == (110, 160, 3)
+    assert depth.dtype == np.float32 and depth.shape == (110, 160)
+    np.testing.assert_array_equal(rgb, picture.colour)
+    np.testing.assert_array_equal(depth, picture.depth)
+
+
+def test_environments_share_a_map_and_each_has_its_own_bodies(model: Any, data: Any) -> None:
+    renderer = CpuRenderer(cloud())
+    other = mujoco.MjData(model)
+    other.qpos[:3] += (0.3, 0, 0.4)
+    mujoco.mj_forward(model, other)
+    eyes = [SplatCamera(model, of, renderer) for of in (data, other, data)]
+    first, second, third = (eye.render("first")[0] for eye in eyes)
+    np.testing.assert_array_equal(first, third)
+    assert (first != second).any()
+
+
+def test_without_opengl_the_map_alone_is_seen_and_it_says_why(
+    model: Any, data: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def none(*_: Any) -> Any:
+        raise body_pictures.NoGL("egl: no driver")
+
+    monkeypatch.setattr(body_pictures, "_open", none)
+    eye = SplatCamera(model, data, cloud())
+    assert eye.problem == "egl: no driver"
+    picture = eye.picture("first", bodies=True)
+    drawn = CpuRenderer(cloud()).draw(posed(picture.camera), median_depth=True)["colour"]
+    assert decibels(picture.colour / 255, drawn[..., :3]) > 50
+    assert picture.bodies is not None and not picture.bodies.any()
+
+
+def test_a_camera_that_there_is_not_is_named(model: Any, data: Any) -> None:
+    eye = SplatCamera(model, data, cloud())
+    for wrong in ("second", 3, -1):
+        with pytest.raises(ValueError, match=f"camera '{wrong}': the model has first, lens, flat"):
+            eye.render(wrong)
+
+
+def test_without_mujoco_its_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
+    with pytest.raises(SceneError, match="pip install mujoco"):
+        SplatCamera(None, None, cloud())
