@@ -100,7 +100,8 @@ std::vector<std::string> hardRegimes(const MapState& map, const MapSample& sampl
   }
   if (wide) {
     found.emplace_back(
-        "beyond 100 degrees of view, large splats lose their shape: set Model to Ray if the map was "
+        "beyond 100 degrees of view, large splats lose their shape: set Model to Ray if the map "
+        "was "
         "trained along rays");
   }
   if (small) {
