@@ -60,6 +60,7 @@ __all__ = [
     "SceneError",
     "Warn",
     "axes",
+    "check_new_file",
     "check_output",
     "format_of",
     "load",
@@ -180,6 +181,12 @@ def check_output(path: str | Path, overwrite: bool = False) -> None:
     writer = _writer(path)
     if hasattr(writer, "require"):
         writer.require(path)
+    check_new_file(path, overwrite)
+
+
+def check_new_file(path: str | Path, overwrite: bool = False) -> None:
+    """As check_output, for a file of any ending."""
+    path = Path(path)
     with _told(path):
         exists = path.exists()
     if not path.parent.is_dir():

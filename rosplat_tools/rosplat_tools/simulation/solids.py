@@ -1,0 +1,209 @@
+"""A map's surfaces as boxes that bodies of a simulator run into.
+
+How it works.
+1. The occupied voxels of the map (voxel_map.hpp): those whose splats take half of the light.
+2. Voxels become boxes: neighbours along one axis join to runs, equal runs beside each other along
+   the next to plates, equal plates along the last to boxes. Of all orders of axes, the one counts
+   that leaves the fewest boxes. No voxel is lost and none is in two boxes.
+3. A box's side that mostly faces empty voxels moves to where the splats' surface is in its voxels,
+   on the mean, and SKIN beyond. Sides between boxes stay, so that there are no gaps.
+
+What splats don't show is not solid, unless closed hollows are filled. docs/experiments.md has what
+boxes were measured against.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from rosplat_core.occupancy import OccupancyMap, depth_of, voxels_across
+from rosplat_core.program.files import write_text
+from rosplat_core.quaternions import from_matrices
+from rosplat_core.rendering import insert_all
+from rosplat_core.splats import SceneError, Splats
+from rosplat_tools.simulation.physics import load_mujoco
+
+RESOLUTION = 0.05  # [m]
+SIZE = 100.0  # of the cube around the origin that has voxels [m]
+LIGHT = 0.5  # least share that an occupied voxel takes away
+SKIN = 0.2  # by which a box reaches beyond its surface: thin ones stop fast bodies [voxels]
+MOST_BOXES = 200_000  # beyond which a step takes long, and compiling minutes
+MOST_FILLED = 1 << 28  # voxels of the box around a map whose hollows are filled
+BODY = "map_solids"
+GROUP = 3  # of geometries that collide, and that no camera shows, as MuJoCo has it
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Boxes (n, 3) with sides along the axes. [m]"""
+
+    low: Array
+    high: Array
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self.low)
+
+
+def solids(
+    splats: Splats, pose: Array, resolution: float = RESOLUTION, *, filled: bool = False
+) -> Boxes:
+    """The solid parts of a map, in the frame that `pose` (4, 4) [m] is in, with z up.
+
+    resolution: edge of a voxel [m]. filled: what surfaces enclose on all sides is solid, too.
+    Raises SceneError for more than this takes.
+    """
+    voxels = OccupancyMap(resolution, voxels_across(SIZE, resolution))
+    voxels.place(pose[:3, 3].tolist(), from_matrices(pose[:3, :3]).tolist())
+    insert_all(voxels, splats)
+    if voxels.full:
+        raise SceneError(f"more than {voxels.most:,} voxels: choose a coarser resolution")
+    surface = voxels.surface(depth_of(LIGHT))
+    cells, positions = surface["cells"].astype(np.int64), surface["positions"].astype(np.float64)
+    if filled and len(cells):
+        inside = _hollows(cells)
+        cells = np.concatenate([cells, inside])
+        positions = np.concatenate([positions, (inside + 0.5) * resolution])
+    boxes = _fitted(cells, positions / resolution, *_fewest(cells))
+    if len(boxes) > MOST_BOXES:
+        raise SceneError(f"{len(boxes):,} boxes: choose a coarser resolution than {resolution:g} m")
+    return Boxes(boxes.low * resolution, boxes.high * resolution)
+
+
+def _hollows(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    least = cells.min(axis=0)
+    shape = cells.max(axis=0) - least + 1
+    if shape.prod() > MOST_FILLED:
+        raise SceneError("the map is too wide to be filled: choose a coarser resolution")
+    occupied = np.zeros(shape, bool)
+    occupied[tuple((cells - least).T)] = True
+    return np.asarray(np.argwhere(ndimage.binary_fill_holes(occupied) & ~occupied) + least)
+
+
+_Joined = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.intp]]
+
+
+def _fewest(cells: NDArray[np.int64]) -> _Joined:
+    joined = (_joined(cells, axes) for axes in permutations(range(3)))
+    return min(joined, key=lambda boxes: len(boxes[0]))
+
+
+def _joined(cells: NDArray[np.int64], axes: tuple[int, ...]) -> _Joined:
+    """Boxes of voxels (n, 3): corners (k, 3), the first inside and the first beyond, and (n,) which
+    box a voxel is in."""
+    low, high, of = cells, cells + 1, np.arange(len(cells))
+    for axis in axes:
+        others = [i for i in range(3) if i != axis]
+        keys = np.column_stack([low[:, others], high[:, others]])
+        order = np.lexsort((low[:, axis], *keys.T))
+        low, high, keys = low[order], high[order], keys[order]
+        follows = np.zeros(len(low), bool)
+        follows[1:] = (keys[1:] == keys[:-1]).all(axis=1) & (low[1:, axis] == high[:-1, axis])
+        number = np.empty(len(low), np.intp)
+        number[order] = np.cumsum(~follows) - 1
+        of = number[of]
+        first = np.flatnonzero(~follows)
+        last = np.append(first[1:], len(low))[: len(first)] - 1
+        low, high = low[first], high[last]
+    return low, high, of
+
+
+def _fitted(
+    cells: NDArray[np.int64],
+    positions: Array,
+    low: NDArray[np.int64],
+    high: NDArray[np.int64],
+    of: NDArray[np.intp],
+) -> Boxes:
+    """Boxes of _joined(), their open sides at the surface. positions (n, 3), result: in voxels."""
+    fitted = {-1: low.astype(np.float64), 1: high.astype(np.float64)}
+    keys = np.sort(_key(cells))
+    for axis in range(3):
+        for side, ends in ((-1, low[:, axis]), (1, high[:, axis] - 1)):
+            rim = np.flatnonzero(cells[:, axis] == ends[of])
+            beyond = cells[rim]
+            beyond[:, axis] += side
+            wanted = _key(beyond)
+            found = keys[np.searchsorted(keys, wanted).clip(max=len(keys) - 1)] == wanted
+            counts = np.bincount(of[rim], minlength=len(low))
+            covered = np.bincount(of[rim], found, minlength=len(low))
+            means = np.bincount(of[rim], positions[rim, axis], minlength=len(low)) / counts
+            is_open = covered < counts / 2
+            fitted[side][is_open, axis] = means[is_open] + side * SKIN
+    return Boxes(fitted[-1], fitted[1])
+
+
+def _key(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One number for each voxel (n, 3)."""
+    across = 1 << 20
+    x, y, z = cells.T + across // 2
+    return np.asarray((z * across + y) * across + x)
+
+
+def ground_at(boxes: Boxes, x: float, y: float, radius: float, below: float) -> float:
+    """Height of the highest box within a radius of a place that is not above `below`; 0 without
+    one. [m]"""
+    near = np.hypot(*(np.clip((x, y), boxes.low[:, :2], boxes.high[:, :2]) - (x, y)).T) <= radius
+    tops = boxes.high[near & (boxes.high[:, 2] <= below), 2]
+    return float(tops.max()) if len(tops) else 0.0
+
+
+def add_solids(spec: Any, boxes: Boxes, pose: Array) -> None:
+    """Adds boxes to a MuJoCo spec, in a body without a joint; pose (4, 4): of their frame [m]."""
+    kind = load_mujoco().mjtGeom.mjGEOM_BOX
+    body = spec.worldbody.add_body(name=BODY, pos=pose[:3, 3], quat=_quaternion(pose))
+    for centre, half in zip(*_centred(boxes), strict=True):
+        body.add_geom(type=kind, pos=centre, size=half, group=GROUP)
+
+
+def save_solids(path: str | Path, boxes: Boxes, pose: Array, scene: str) -> None:
+    """Writes boxes as MJCF, to be included or attached, or simulated as it is.
+
+    pose: (4, 4) of the scene's own coordinates among them [m], which a site named map has. Raises
+    SceneError.
+    """
+    lines = [
+        '<mujoco model="map">',
+        f"  <!-- Solid parts of {_comment(scene)}: z is up, lengths are in metres. -->",
+        "  <default>",
+        f'    <default class="{BODY}"><geom type="box" group="{GROUP}"/></default>',
+        "  </default>",
+        "  <worldbody>",
+        f'    <body name="{BODY}" childclass="{BODY}">',
+        f'      <site name="map" group="{GROUP}" pos="{_numbers(pose[:3, 3])}" '
+        f'quat="{_numbers(_quaternion(pose))}"/>',
+    ]
+    for centre, half in zip(*_centred(boxes), strict=True):
+        lines.append(f'      <geom pos="{_numbers(centre)}" size="{_numbers(half)}"/>')
+    lines += ["    </body>", "  </worldbody>", "</mujoco>", ""]
+    try:
+        write_text(Path(path), "\n".join(lines))
+    except OSError as error:
+        raise SceneError(f"{path}: {error.strerror or error}") from error
+
+
+def _quaternion(pose: Array) -> Array:
+    """w, x, y, z, as MuJoCo has them."""
+    return np.roll(from_matrices(pose[:3, :3]), 1)
+
+
+def _centred(boxes: Boxes) -> tuple[Array, Array]:
+    return (boxes.low + boxes.high) / 2, (boxes.high - boxes.low) / 2
+
+
+def _numbers(values: Array) -> str:
+    return " ".join(f"{value:.6g}" for value in values)
+
+
+def _comment(text: str) -> str:
+    """What may stand in a comment of XML."""
+    return text.replace("--", "- -").replace("\n", " ")
