@@ -870,23 +870,32 @@ bool walk(const ListedTile& tile, const float* transmittance, const float* behin
       if constexpr (kConic) {
         const RayShape& shape = tile.shapes[listed[k].record];
         const Floats x = columns + (float(column) + dx);
-        const Floats beside = x + (e.x - shape.spot_x);
-        const Floats spot = all(kSpot * kHalfLog2 * kHalfLog2 / kSquared);
-        const Floats level = peak - spot * beside * beside;
-        Floats below = all(dy + e.y - shape.spot_y);
         Floats along = fma(x, all(shape.tilt_x), all(1.0f + shape.tilt_y * dy));
-        for (int row = first; row < last; ++row) {
-          const Floats flat = fma(v, v, u * u);
-          const Floats over = 1.0f / fma(along, along, shape.nearness * flat);
-          const Floats on_ray = fma(-flat, over, peak);
-          const Floats of_spot = fma(-spot * below, below, level);
-          const Floats exponent = max(on_ray, of_spot);
-          const Floats seen = on_ray < of_spot ? depth : max(depth * along * over, Floats{});
-          blend(kTile * row + column, exponent, exponent >= end, seen);
-          u += down_u;
-          v += down_v;
-          along += shape.tilt_y;
-          below += 1.0f;
+        const auto rows = [&](const auto& withSpot) {
+          for (int row = first; row < last; ++row) {
+            const Floats flat = fma(v, v, u * u);
+            const Floats over = 1.0f / fma(along, along, shape.nearness * flat);
+            Floats exponent = fma(-flat, over, peak), seen = max(depth * along * over, Floats{});
+            withSpot(exponent, seen);
+            blend(kTile * row + column, exponent, exponent >= end, seen);
+            u += down_u;
+            v += down_v;
+            along += shape.tilt_y;
+          }
+        };
+        if (shape.spot_x == __builtin_inff()) {
+          rows([](Floats&, Floats&) {});
+        } else {
+          const Floats beside = x + (e.x - shape.spot_x);
+          const Floats spot = all(kSpot * kHalfLog2 * kHalfLog2 / kSquared);
+          const Floats level = peak - spot * beside * beside;
+          Floats below = all(dy + e.y - shape.spot_y);
+          rows([&](Floats& exponent, Floats& seen) {
+            const Floats of_spot = fma(-spot * below, below, level);
+            seen = exponent < of_spot ? depth : seen;
+            exponent = max(exponent, of_spot);
+            below += 1.0f;
+          });
         }
       } else {
         for (int row = first; row < last; ++row) {
