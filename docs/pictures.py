@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import rclpy
 from ament_index_python.packages import get_package_share_directory
 from geometry_msgs.msg import TransformStamped
@@ -19,8 +20,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
+from rosplat_core import find_up, load
 from rosplat_lab.driven_rviz import DrivenRviz
 from rosplat_ros.program.processes import Processes, quoted
+from rosplat_tools import SplatCamera
+from rosplat_tools.simulation.robot_model import put_in_map
 from rviz_gaussian_plugin.offscreen import ensure_display
 
 DOCS = Path(__file__).parent
@@ -228,7 +232,24 @@ def camera(folder: Path, seconds: float) -> None:
         shoot("camera.jpg", rviz)
 
 
-PICTURES = ("demo", "occlusion", "selection", "channels", "camera", "rviz")
+def simulation(scene: Path) -> None:
+    """The robot mobile in a scene: as its camera chase sees it, and what its own camera sees."""
+    splats = load(scene)
+    robots = Path(get_package_share_directory("rosplat_tools")) / "robots"
+    stands = put_in_map(robots / "mobile.xml", splats, find_up(splats), (-0.75, -0.75, 0.7))
+    stands.robot.step(1.0)
+    eye = SplatCamera(stands.robot.model, stands.robot.data, splats, map_pose=stands.map_pose)
+    colours, depths = eye.render("camera")
+    near = (255 * np.exp(-depths / 1.5)).astype(np.uint8)
+    beside = [Image.fromarray(part).resize((480, 270)) for part in (colours, near)]
+    sheet = Image.new("RGB", (1440, 540))
+    sheet.paste(Image.fromarray(eye.render("chase")[0]).resize((960, 540)), (0, 0))
+    for row, part in enumerate(beside):
+        sheet.paste(part.convert("RGB"), (960, 270 * row))
+    sheet.save(DOCS / "simulate.jpg", quality=85)
+
+
+PICTURES = ("simulate", "demo", "occlusion", "selection", "channels", "camera", "rviz")
 
 
 def main() -> None:
@@ -243,6 +264,8 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     if "demo" in options.only:
         embedded_viewer(folder, options.upright)
+    if "simulate" in options.only:
+        simulation(options.scene)
     os.environ.pop("DISPLAY", None)
     with ensure_display(*SIZE):
         if "occlusion" in options.only:

@@ -16,7 +16,7 @@ export MYPYPATH=../rosplat_core:../rosplat_ros
 (cd rosplat_sorter && mypy --config-file ../pyproject.toml --no-error-summary \
   rosplat_sorter/{backends,map.py,order_slots.py,shared_orders.py,worker.py})
 (cd rosplat_tools && mypy --config-file ../pyproject.toml --no-error-summary \
-  rosplat_tools/{cameras/{comparison,pose_history}.py,emulation/{flight,mapping}.py,streaming/{detail,followed_view,slot_allocator,streamed_map}.py,convert.py,generate.py,inspect_scene.py})
+  rosplat_tools/{cameras/{comparison,pose_history}.py,lidars/scanning.py,simulation/{body_pictures,physics,robot_model,solids,splat_camera}.py,emulation/{flight,mapping}.py,streaming/{detail,followed_view,slot_allocator,streamed_map}.py,convert.py,generate.py,inspect_scene.py})
 (cd rosplat_lab && MYPYPATH=../rosplat_core:../rosplat_ros:../rosplat_sorter:../rosplat_tools mypy --config-file ../pyproject.toml --no-error-summary \
   rosplat_lab/{lab,reference,simplify,arguments.py,driven_rviz.py,machine.py,metrics.py} \
   rosplat_lab/bench/{baselines.py,charts.py,command.py,embedded.py,isolation.py,levels.py,mouse.py,plan.py,records.py,renderers.py,rviz.py,scenes.py,sort.py,truths.py})

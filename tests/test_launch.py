@@ -23,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 VIEW = ROOT / "rviz_gaussian_plugin/launch/view.launch.py"
 ROBOTS = ROOT / "rosplat_tools/launch/robots.launch.py"
 CAMERA = ROOT / "rviz_gaussian_plugin/launch/camera.launch.py"
+SIMULATE = ROOT / "rosplat_tools/launch/simulate.launch.py"
 RECORD = ROOT / "rosplat_tools/launch/record.launch.py"
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")  # to Jazzy, since
 PROFILE = PROFILES[os.environ.get("ROS_DISTRO") not in ("humble", "jazzy")]
@@ -99,6 +100,16 @@ def test_nothing_is_published_unasked() -> None:
     assert set(started(scene="it's mine.ply")) == {"ply_publisher", "rviz2"}
     assert set(started(scene="town/lod-meta.json")) == {"stream_publisher", "rviz2"}
     assert "demo_sensors" in started(sensors="true")
+
+
+def test_a_robot_comes_with_its_scene() -> None:
+    programs = started(launch=SIMULATE, scene="playbot", robot="arm", start="1 -2 0.5", up="0 -1 0")
+    assert set(programs) == {"simulate", "ply_publisher"}
+    simulate = programs["simulate"].parameters
+    assert simulate["start"] == [1.0, -2.0, 0.5]
+    assert (simulate["robot"], simulate["rate"], simulate["speed"]) == ("arm", 10.0, 1.0)
+    assert programs["ply_publisher"].parameters["up"] == "0 -1 0"
+    assert set(started(launch=SIMULATE)) == {"simulate"}
 
 
 def test_a_sorter_comes_if_it_is_asked_for() -> None:

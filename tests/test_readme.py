@@ -190,6 +190,20 @@ def test_python_draws_without_ros(tmp_path: Path) -> None:
     assert len(load(tmp_path / "scene.spz")) == 5000
 
 
+def test_a_body_and_a_map_in_one_picture(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="no mujoco here (PyPI)")
+    (block,) = blocks_of(GUIDES / "simulate.md", "python")
+    save(tmp_path / "scene.ply", generate(3000))
+    script = block.replace(SCENE, str(tmp_path / "scene.ply")) + (
+        "print(camera.problem, rgb.shape, rgb.dtype, depth.shape, depth.dtype, rgb.max() > 50)"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True, text=True, timeout=PATIENCE, check=False,
+    )  # fmt: skip
+    assert run.stdout == " (360, 640, 3) uint8 (360, 640) float32 True\n", run.stderr
+
+
 @pytest.mark.parametrize("library", ["rclcpp", "rclcpp_lifecycle"])
 def test_cpp_publishes_a_map(library: str, tmp_path: Path, node: Node, listener: Listener) -> None:
     if library not in get_packages_with_prefixes():

@@ -15,8 +15,10 @@ follow = partial(run_module, "follow", "rosplat_tools.following.follow")
 generate = partial(run_module, "generate", "rosplat_tools.generate")
 inspect = partial(run_module, "inspect", "rosplat_tools.inspect_scene")
 occupancy = partial(run_module, "occupancy", "rosplat_tools.obstacles.occupancy")
+lidar = partial(run_module, "lidar", "rosplat_tools.lidars.lidar")
 ply_publisher = partial(run_module, "ply_publisher", "rosplat_tools.ply_publisher")
 share = partial(run_module, "share", "rosplat_tools.sharing.share")
+simulate = partial(run_module, "simulate", "rosplat_tools.simulation.simulate")
 slam_emulator = partial(run_module, "slam_emulator", "rosplat_tools.emulation.slam_emulator")
 stream_publisher = partial(
     run_module, "stream_publisher", "rosplat_tools.streaming.stream_publisher"

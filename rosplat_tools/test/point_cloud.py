@@ -1,4 +1,4 @@
-"""Splats as a PointCloud2."""
+"""PointCloud2s of splats, and what is in others."""
 
 import numpy as np
 from sensor_msgs.msg import PointCloud2, PointField
@@ -28,3 +28,17 @@ def cloud(splats: Splats, big_endian: bool = False, height: int = 1, gap: int = 
         is_bigendian=big_endian,
         data=np.pad(data, ((0, 0), (0, gap))).tobytes(),
     )
+
+
+def points_of(message: PointCloud2) -> np.ndarray:
+    """The points (n,) of a cloud, by the names of its fields."""
+    kinds = {PointField.FLOAT32: "<f4", PointField.UINT16: "<u2"}
+    kind = np.dtype(
+        {
+            "names": [field.name for field in message.fields],
+            "formats": [kinds[field.datatype] for field in message.fields],
+            "offsets": [field.offset for field in message.fields],
+            "itemsize": message.point_step,
+        }
+    )
+    return np.frombuffer(message.data, kind)

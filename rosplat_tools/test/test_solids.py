@@ -15,7 +15,7 @@ from rosplat_core.splats import SceneError, Splats
 from rosplat_tools.convert import main
 from rosplat_tools.simulation import solids as module
 from rosplat_tools.simulation.robot_model import BrokenState, RobotModel, placed, robot_file
-from rosplat_tools.simulation.solids import Boxes, add_solids, ground_at, solids
+from rosplat_tools.simulation.solids import Boxes, add_solids, free_place, solids
 
 mujoco = pytest.importorskip("mujoco", reason="no mujoco here (PyPI)")
 
@@ -84,6 +84,22 @@ def test_boxes_are_where_surfaces_are(boxes: Boxes) -> None:
     assert np.quantile(error, 0.9) < RESOLUTION
 
 
+def test_a_robot_is_put_where_it_has_room() -> None:
+    floor, hanging, wall = (
+        (-3, -3, -0.1, 3, 3, 0),
+        (-0.1, -0.1, 0.2, 0.1, 0.1, 2),
+        (1, -3, 0, 2, 3, 2),
+    )
+    sides = np.array([floor, hanging, wall], np.float64)
+    boxes = Boxes(sides[:, :3], sides[:, 3:])
+    assert free_place(boxes, (-1, 0)) == pytest.approx((-1, 0, 0))
+    x, y, ground = free_place(boxes, (0, 0)) or (0, 0, 1)
+    assert ground == 0
+    assert 0.34 < np.hypot(x, y) < 0.6  # not below what hangs there
+    assert (free_place(boxes, (1.5, 0)) or (0,))[0] > 2.2  # beyond the wall
+    assert free_place(Boxes(sides[:0, :3], sides[:0, 3:]), (0, 0)) is None
+
+
 def test_what_is_enclosed_is_solid_where_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     shell = np.array([c for c in product(range(5), repeat=3) if 0 in c or 4 in c])
 
@@ -107,7 +123,8 @@ def test_what_is_enclosed_is_solid_where_asked(monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_robot_stops_at_a_wall(boxes: Boxes) -> None:
     """Within a voxel of it, and on the floor."""
-    ground = ground_at(boxes, *FREE, 0.2, 0.5)
+    x, y, ground = free_place(boxes, FREE) or (0, 0, 1)
+    assert (x, y) == pytest.approx(FREE)
     assert abs(ground) < RESOLUTION / 2
     start = placed((*FREE, ground), ((0, 1, 0), (-1, 0, 0), (0, 0, 1)))  # it faces along -y
     robot = RobotModel(ROBOTS / "mobile.xml", boxes, np.linalg.inv(start))

@@ -42,10 +42,19 @@ def whole_number(given: Mapping[str, str], name: str) -> int:
         raise ValueError(f"{name}: expected a whole number, got '{given[name]}'") from error
 
 
+def number(given: Mapping[str, str], name: str) -> float:
+    """An argument's value. Raises ValueError that names the argument."""
+    try:
+        return float(given[name])
+    except ValueError as error:
+        raise ValueError(f"{name}: expected a number, got '{given[name]}'") from error
+
+
 def program(package: str, executable: str, **parameters: object) -> Node:
     """A node named like its executable."""
     typed = {  # a path of digits stays a text
-        name: ParameterValue(value, value_type=type(value)) for name, value in parameters.items()
+        name: value if isinstance(value, list) else ParameterValue(value, value_type=type(value))
+        for name, value in parameters.items()
     }
     return Node(
         package=package,

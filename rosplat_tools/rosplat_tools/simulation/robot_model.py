@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from rosplat_core.splats import SceneError
+from rosplat_core.first_look import sample
+from rosplat_core.splats import SceneError, Splats
+from rosplat_core.upright import standing_pose
 from rosplat_tools.simulation.physics import compiled, load_mujoco, read_spec
-from rosplat_tools.simulation.solids import BODY, Boxes, add_solids
+from rosplat_tools.simulation.solids import BODY, RESOLUTION, Boxes, add_solids, free_place, solids
 
 Array = NDArray[np.float64]
 
@@ -32,6 +35,7 @@ class RobotModel:
         Raises SceneError, naming the file, for one that MuJoCo can't read whole.
         """
         mujoco = load_mujoco()
+        mujoco.set_mju_user_warning(lambda text: None)  # else it writes a file; step() tells
         spec = read_spec(path)
         add_solids(spec, solids, pose)
         self.model = compiled(spec, path)
@@ -75,6 +79,13 @@ class RobotModel:
             value = float(np.clip(value, *self.model.actuator_ctrlrange[number]))
         self.data.ctrl[number] = value
 
+    def names(self, kind: str) -> list[str]:
+        """Names of the model's cameras, sites or actuators that a topic can have."""
+        counts = {"camera": "ncam", "site": "nsite", "actuator": "nu"}
+        count = getattr(self.model, counts[kind])
+        every = [getattr(self.model, kind)(i).name for i in range(count)]
+        return [name for name in every if name.isidentifier() and name.isascii()]
+
     @property
     def follows_velocities(self) -> bool:
         """Whether it has an actuator named linear_x, or like another part of a Twist."""
@@ -82,7 +93,7 @@ class RobotModel:
 
     @property
     def base(self) -> int:
-        """The body that a robot's odometry is of: the first that the first actuator moves."""
+        """The body that a robot's odometry is of: the first of the world's that moves."""
         for body in range(1, self.model.nbody):
             if self.model.body_dofnum[body] and self.model.body_parentid[body] == 0:
                 return body
@@ -119,10 +130,59 @@ class RobotModel:
             for i in range(self.model.njnt) if self.model.jnt_type[i] in single
         ]  # fmt: skip
 
+    def cast(self, eye: Array, rays: Array, but: int) -> Array:
+        """Distances (n,) at which rays (n, 3), of unit length, from an eye (3,) meet what cameras
+        see of bodies, but for one body; inf where they meet none. [m]"""
+        groups = np.array([1, 1, 1, 0, 0, 0], np.uint8)
+        found, count = np.empty(len(rays)), len(rays)
+        self._mujoco.mj_multiRay(
+            self.model, self.data, eye, np.ascontiguousarray(rays).ravel(), groups, 1, but,
+            np.empty(count, np.int32), found, None, count, 1e9,
+        )  # fmt: skip
+        return np.where(found < 0, np.inf, found)
+
     def sensor(self, name: str) -> Array | None:
         """What a sensor of the model measures now; None without one of that name."""
         number = self._mujoco.mj_name2id(self.model, self._mujoco.mjtObj.mjOBJ_SENSOR, name)
         return None if number < 0 else np.array(self.data.sensor(number).data)
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """A robot that stands in a map."""
+
+    robot: RobotModel
+    map_pose: Array
+    """(4, 4) of the map in the robot's world. [m]"""
+    place: tuple[float, float, float]
+    """x, y and height of the robot's origin in the map that stands upright. [m]"""
+    has_room: bool
+    """Whether there is ground with room for it; else it is where it was wished for, at height 0."""
+    boxes: int
+    """That it may run into."""
+
+
+def put_in_map(
+    path: str | Path,
+    splats: Splats,
+    up: ArrayLike,
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    resolution: float = RESOLUTION,
+) -> Standing:
+    """Puts a robot of an MJCF file into a map, on its ground.
+
+    up (3,): the map's vertical. start: x, y [m] and yaw [rad] in the map that stands upright, or
+    the nearest place with room. resolution: edge of voxels [m]. Raises SceneError.
+    """
+    standing = standing_pose(sample(splats), up)
+    boxes = solids(splats, standing, resolution)
+    x, y, yaw = start
+    found = free_place(boxes, (x, y))
+    place = found or (x, y, 0.0)
+    turn = [[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]]
+    to_robot = np.asarray(np.linalg.inv(placed(np.array(place), np.array(turn))))
+    robot = RobotModel(path, boxes, to_robot)
+    return Standing(robot, to_robot @ standing, place, found is not None, len(boxes))
 
 
 def placed(position: Array, rotation: Array) -> Array:

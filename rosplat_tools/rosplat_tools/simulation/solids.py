@@ -34,6 +34,10 @@ RESOLUTION = 0.05  # [m]
 SIZE = 100.0  # of the cube around the origin that has voxels [m]
 LIGHT = 0.5  # least share that an occupied voxel takes away
 SKIN = 0.2  # by which a box reaches beyond its surface: thin ones stop fast bodies [voxels]
+ROOM = 0.25, 0.4  # radius and height of the room that a robot needs [m]
+HIGHEST = 0.5  # ground that a robot may stand on, above the map's own [m]
+KERB = 0.03  # of ground that counts as level [m]
+FAR, STEP = 5.0, 0.1  # how far from a wished place another is tried, and how densely [m]
 MOST_BOXES = 200_000  # beyond which a step takes long, and compiling minutes
 MOST_FILLED = 1 << 28  # voxels of the box around a map whose hollows are filled
 BODY = "map_solids"
@@ -149,12 +153,26 @@ def _key(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray((z * across + y) * across + x)
 
 
-def ground_at(boxes: Boxes, x: float, y: float, radius: float, below: float) -> float:
-    """Height of the highest box within a radius of a place that is not above `below`; 0 without
-    one. [m]"""
-    near = np.hypot(*(np.clip((x, y), boxes.low[:, :2], boxes.high[:, :2]) - (x, y)).T) <= radius
-    tops = boxes.high[near & (boxes.high[:, 2] <= below), 2]
-    return float(tops.max()) if len(tops) else 0.0
+def free_place(boxes: Boxes, wished: tuple[float, float]) -> tuple[float, float, float] | None:
+    """x, y and height of the ground where a robot has room, as near to a place as there is one. [m]
+
+    None where there is none within FAR. Ground is a box that is not above HIGHEST, with nothing
+    else around it over the height of ROOM.
+    """
+    steps = np.arange(-FAR, FAR + STEP / 2, STEP)
+    offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    distances = np.hypot(*offsets.T)
+    for index in np.argsort(distances, kind="stable"):
+        if distances[index] > FAR:
+            return None
+        x, y = (wished + offsets[index]).tolist()
+        nearest = np.clip((x, y), boxes.low[:, :2], boxes.high[:, :2])
+        near = np.hypot(*(nearest - (x, y)).T) <= ROOM[0]
+        low, high = boxes.low[near, 2], boxes.high[near, 2]
+        for ground in np.sort(high[high <= HIGHEST])[::-1]:
+            if not ((low < ground + ROOM[1]) & (high > ground + KERB)).any():
+                return x, y, float(ground)
+    return None
 
 
 def add_solids(spec: Any, boxes: Boxes, pose: Array) -> None:

@@ -1,0 +1,1 @@
+"""Lidars in a map."""

@@ -1,0 +1,113 @@
+"""Sensors of a simulated robot as topics; a message is made while somebody hears it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import CameraInfo, Image, LaserScan, PointCloud2
+from std_msgs.msg import Header
+
+from rosplat_core.lenses import Lens
+from rosplat_ros.images import to_image
+from rosplat_ros.qos import overridable
+from rosplat_tools.cameras.calibrations import of_lens
+from rosplat_tools.lidars.lidar_messages import points_message, scan_message
+from rosplat_tools.lidars.scanning import Lidar, Scan
+from rosplat_tools.simulation.robot_model import RobotModel, placed
+from rosplat_tools.simulation.splat_camera import SplatCamera
+
+# Reliable: such a publisher serves best-effort subscribers, too.
+PICTURES = QoSProfile(depth=5)
+SECOND = 1_000_000_000  # [ns]
+LIDAR = "lidar"  # the site where a model has one
+
+
+def stamp_of(seconds: float) -> Time:
+    """A simulated time as a message's."""
+    sec, nanosec = divmod(round(seconds * SECOND), SECOND)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+class CameraTopics:
+    """A camera of a model."""
+
+    def __init__(self, node: Node, name: str, ticks: int) -> None:
+        """ticks: of simulated time between two pictures."""
+        self.ticks = ticks
+        self._name = name
+        kinds = {
+            "image_raw": Image, "depth/image_raw": Image, "segmentation": Image,
+            "camera_info": CameraInfo, "depth/camera_info": CameraInfo,
+        }  # fmt: skip
+        self._image, self._depth, self._bodies, *self._infos = (
+            node.create_publisher(kind, f"{name}/{topic}", **overridable(PICTURES))
+            for topic, kind in kinds.items()
+        )
+
+    def publish(self, stamp: Time, robot: RobotModel, eye: SplatCamera) -> None:
+        """Takes a picture of now, if somebody hears it."""
+        header = Header(stamp=stamp, frame_id=f"{self._name}_optical")
+        camera = eye.camera(self._name)
+        if not camera.orthographic:  # CameraInfo has no word for it
+            # For ROS the centre of the top left pixel is (0, 0).
+            centre = camera.cx - 0.5, camera.cy - 0.5
+            info = of_lens(Lens(camera.width, camera.height, camera.fx, camera.fy, *centre))
+            info.header = header
+            for publisher in self._infos:
+                publisher.publish(info)
+        publishers = (self._image, self._depth, self._bodies)
+        if not any(publisher.get_subscription_count() for publisher in publishers):
+            return
+        picture = eye.picture(self._name, bodies=self._bodies.get_subscription_count() > 0)
+        images = [
+            (self._image, to_image(picture.colour, "rgb8")),
+            (self._depth, to_image(picture.depth, "32FC1")),
+        ]
+        if picture.bodies is not None:
+            images.append((self._bodies, to_image(picture.bodies, "16UC1")))
+        for publisher, image in images:
+            image.header = header
+            publisher.publish(image)
+
+
+class LidarTopics:
+    """A lidar at the site of a model that is named so."""
+
+    def __init__(self, node: Node, lidar: Lidar, ticks: int, period: float) -> None:
+        """ticks: of simulated time between two scans; period: of a turn [s]."""
+        self.ticks, self._period, self._lidar = ticks, period, lidar
+        self._points = node.create_publisher(PointCloud2, "points", **overridable(PICTURES))
+        self._scan = node.create_publisher(LaserScan, "scan", **overridable(PICTURES))
+
+    def publish(self, stamp: Time, robot: RobotModel, eye: SplatCamera) -> None:
+        """Measures now, if somebody hears it."""
+        if not any(p.get_subscription_count() for p in (self._points, self._scan)):
+            return
+        site = robot.data.site(LIDAR)
+        pose = placed(site.xpos, site.xmat)
+        scan = self._lidar.scan(eye.renderer, np.linalg.inv(pose) @ eye.map_pose)
+        rays = self._lidar.pattern.rays @ pose[:3, :3].T
+        body = int(robot.model.site(LIDAR).bodyid[0])
+        scan = _nearer(scan, robot.cast(pose[:3, 3], rays, body), self._lidar.limits)
+        header = Header(stamp=stamp, frame_id=LIDAR)
+        pattern, limits = self._lidar.pattern, self._lidar.limits
+        self._points.publish(points_message(header, pattern, scan, self._period))
+        self._scan.publish(scan_message(header, pattern, scan, limits, self._period))
+
+
+def _nearer(scan: Scan, distances: np.ndarray, limits: tuple[float, float]) -> Scan:
+    """What is met first, a map or bodies at distances (n,), which answer as brightly as grey."""
+    of_body = (distances < scan.ranges) & (distances >= limits[0]) & (distances <= limits[1])
+    return Scan(
+        np.where(of_body, distances, scan.ranges).astype(np.float32),
+        np.where(of_body, 127, scan.intensities).astype(np.float32),
+    )
+
+
+def ticks_of(rate: float, tick: float) -> int:
+    """Ticks [s] between what comes at a rate [Hz]."""
+    return max(1, math.floor(1 / (rate * tick) + 0.5))

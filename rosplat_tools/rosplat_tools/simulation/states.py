@@ -1,0 +1,138 @@
+"""What a robot in a simulation says of itself: TF, odometry, joints, an IMU."""
+
+from __future__ import annotations
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Quaternion, TransformStamped, Twist, Vector3
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Header
+
+from rosplat_ros.poses import to_pose
+from rosplat_ros.qos import FIRST_VIEW, overridable
+from rosplat_tools.frames import TF, TFMessage, transform
+from rosplat_tools.simulation.body_pictures import OPTICAL
+from rosplat_tools.simulation.robot_model import RobotModel, placed
+
+Array = NDArray[np.float64]
+
+SENSOR = QoSProfile(depth=10)
+IMU = ("orientation", "angular_velocity", "linear_acceleration")  # sensors of a model
+
+
+class States:
+    """Publishes the state of a robot; what a model lacks is left out."""
+
+    def __init__(self, node: Node, odom: str) -> None:
+        """odom: frame of the robot's world."""
+        self._odom = odom
+        self._robot: RobotModel | None = None
+        self._joints = node.create_publisher(JointState, "joint_states", **overridable(SENSOR))
+        self._odometry = node.create_publisher(Odometry, "odom", **overridable(SENSOR))
+        self._imu = node.create_publisher(Imu, "imu", **overridable(SENSOR))
+        self._tf = self._tf_static = None
+        if TFMessage:
+            self._tf = node.create_publisher(TFMessage, "/tf", **overridable(TF))
+            self._tf_static = node.create_publisher(
+                TFMessage, "/tf_static", **overridable(FIRST_VIEW)
+            )
+        else:
+            node.get_logger().info("no tf2_msgs here: TF is left out")
+
+    def stand(self, robot: RobotModel, map_frame: str, map_pose: Array) -> None:
+        """From now on, publishes the state of this robot. map_pose: (4, 4) of the map in the
+        robot's world [m]."""
+        self._robot = robot
+        self._bodies = robot.bodies()
+        self._names = {0: self._odom} | {number: name for number, name, _ in self._bodies}
+        if self._tf_static:
+            header = Header(frame_id=map_frame)
+            stands = transform(header, self._odom, to_pose(np.linalg.inv(map_pose)))
+            self._tf_static.publish(TFMessage(transforms=[stands, *self.fixed(robot)]))
+
+    def frame_of(self, body: int) -> str:
+        """The frame of a body, by its number."""
+        return self._names.get(body, self._odom)
+
+    def publish(self, stamp: Time) -> None:
+        """Publishes the state as it is now."""
+        assert self._robot
+        robot = self._robot
+        joints = robot.joints()
+        if joints:
+            names, places, speeds = (list(each) for each in zip(*joints, strict=True))
+            self._joints.publish(
+                JointState(
+                    header=Header(stamp=stamp),
+                    name=names,
+                    position=robot.data.qpos[places].tolist(),
+                    velocity=robot.data.qvel[speeds].tolist(),
+                    effort=robot.data.qfrc_actuator[speeds].tolist(),
+                )
+            )
+        if self._tf:
+            self._tf.publish(TFMessage(transforms=self.transforms(stamp)))
+        if robot.follows_velocities:
+            self._odometry.publish(self._odometry_message(robot, stamp))
+        if (imu := self._imu_message(robot, stamp)) is not None:
+            self._imu.publish(imu)
+
+    def transforms(self, stamp: Time) -> list[TransformStamped]:
+        """Where each body is in its parent's frame."""
+        assert self._robot
+        found = []
+        for number, name, parent in self._bodies:
+            pose = np.linalg.inv(self._robot.pose(parent)) @ self._robot.pose(number)
+            header = Header(stamp=stamp, frame_id=self._names[parent])
+            found.append(transform(header, name, to_pose(pose)))
+        return found
+
+    def fixed(self, robot: RobotModel) -> list[TransformStamped]:
+        """Where the optical frames of cameras, and sites, are on their bodies."""
+        model, data, found = robot.model, robot.data, []
+        for i in range(model.ncam):
+            pose = placed(data.cam_xpos[i], data.cam_xmat[i])
+            pose[:3, :3] = pose[:3, :3] @ OPTICAL
+            found.append((int(model.cam_bodyid[i]), f"{model.camera(i).name}_optical", pose))
+        for i in range(model.nsite):
+            pose = placed(data.site_xpos[i], data.site_xmat[i])
+            found.append((int(model.site_bodyid[i]), model.site(i).name, pose))
+        return [
+            transform(
+                Header(frame_id=self.frame_of(body)),
+                name,
+                to_pose(np.linalg.inv(robot.pose(body)) @ pose),
+            )
+            for body, name, pose in found
+            if name
+        ]
+
+    def _odometry_message(self, robot: RobotModel, stamp: Time) -> Odometry:
+        base = robot.base
+        message = Odometry(header=Header(stamp=stamp, frame_id=self._odom))
+        message.child_frame_id = self.frame_of(base)
+        message.pose.pose = to_pose(robot.pose(base))
+        velocity = robot.velocity(base)
+        message.twist.twist = Twist(linear=_vector(velocity[:3]), angular=_vector(velocity[3:]))
+        return message
+
+    def _imu_message(self, robot: RobotModel, stamp: Time) -> Imu | None:
+        orientation, turn, acceleration = (robot.sensor(name) for name in IMU)
+        if orientation is None or turn is None or acceleration is None:
+            return None
+        w, x, y, z = orientation.tolist()
+        return Imu(
+            header=Header(stamp=stamp, frame_id="imu"),
+            orientation=Quaternion(x=x, y=y, z=z, w=w),
+            angular_velocity=_vector(turn),
+            linear_acceleration=_vector(acceleration),
+        )
+
+
+def _vector(values: Array) -> Vector3:
+    x, y, z = values.tolist()
+    return Vector3(x=x, y=y, z=z)

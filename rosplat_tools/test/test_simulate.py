@@ -1,0 +1,239 @@
+"""The program simulate, in a process of its own: time, commands, sensors, and what goes wrong."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from point_cloud import points_of
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import CameraInfo, Image, Imu, JointState, LaserScan, PointCloud2
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+
+from rosplat_core.generated import generate
+from rosplat_ros.images import from_image
+from rosplat_ros.map_publisher import MapPublisher
+from rosplat_testing import Listener
+from rosplat_testing.studio import Log
+from rosplat_tools.simulation.robot_model import RobotModel, robot_file
+from rosplat_tools.simulation.solids import Boxes
+from rosplat_tools.simulation.states import States
+
+pytest.importorskip("mujoco", reason="no mujoco here (PyPI)")
+
+ROOMS = generate(60_000, scene="rooms")
+ROBOTS = Path(__file__).resolve().parents[1] / "robots"
+OWN_CLOCK = {"/clock": "clock"}  # of the test's namespace
+START = {"start": "[-1.2, -1.2, 0.0]", "resolution": 0.1}
+
+
+class Stage:
+    """A map, and what a simulation in it publishes."""
+
+    def __init__(self, node: Node, listener: Listener) -> None:
+        self.node, self.listener = node, listener
+        self.heard: dict[str, list[Any]] = {}
+        self.map = MapPublisher(node)
+        self.map.replace(ROOMS)
+
+    def hear(self, **topics: Any) -> None:
+        for topic, kind in topics.items():
+            name = topic.replace("__", "/")
+            self.node.create_subscription(kind, name, self.heard.setdefault(name, []).append, 10)
+
+    def next(self, topic: str) -> Any:
+        """A message that comes from now on, and not of a moment before."""
+        count = len(self.heard[topic])
+        self.listener.wait(lambda: len(self.heard[topic]) > count)
+        return self.heard[topic][-1]
+
+    def seconds(self) -> float:
+        """The simulated time."""
+        clock = self.next("clock").clock
+        return float(clock.sec + 1e-9 * clock.nanosec)
+
+    def settled(self) -> float:
+        """The simulated time, once no other comes."""
+        before = -1
+        while len(self.heard["clock"]) != before:
+            before = len(self.heard["clock"])
+            for _ in range(5):
+                self.listener.spin_once()
+        clock = self.heard["clock"][-1].clock
+        return float(clock.sec + 1e-9 * clock.nanosec)
+
+
+@pytest.fixture
+def stage(node: Node, listener: Listener) -> Stage:
+    made = Stage(node, listener)
+    made.hear(clock=Clock, odom=Odometry)
+    return made
+
+
+def test_a_robot_drives_sees_and_measures(
+    stage: Stage, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    stage.hear(
+        camera__image_raw=Image, camera__depth__image_raw=Image, camera__segmentation=Image,
+        chase__segmentation=Image, camera__camera_info=CameraInfo, points=PointCloud2,
+        scan=LaserScan, joint_states=JointState, imu=Imu,
+    )  # fmt: skip
+    start("simulate", OWN_CLOCK, **START)
+    first = stage.next("odom")
+    assert (first.header.frame_id, first.child_frame_id) == ("odom", "base_link")
+    assert abs(first.pose.pose.position.z) < 0.05
+    velocity = stage.node.create_publisher(Twist, "cmd_vel", 10)
+    twist = Twist()
+    twist.linear.x = 0.3
+
+    def drives() -> bool:
+        velocity.publish(twist)
+        odom = stage.next("odom")
+        return bool(abs(odom.twist.twist.linear.x - 0.3) < 0.05)
+
+    stage.listener.wait(drives)
+    at = stage.next("odom").pose.pose.position.x
+    assert at > first.pose.pose.position.x
+    # Without a command it stops, after half a simulated second.
+    stage.listener.wait(lambda: abs(stage.next("odom").twist.twist.linear.x) < 0.01)
+
+    info = stage.next("camera/camera_info")
+    assert (info.width, info.height, info.header.frame_id) == (640, 360, "camera_optical")
+    assert info.k[2] == pytest.approx(319.5)
+    picture = from_image(stage.next("camera/image_raw"))
+    assert picture.shape == (360, 640, 3)
+    assert picture.std() > 5  # there is something to see
+    depth = stage.next("camera/depth/image_raw")
+    assert depth.encoding == "32FC1"
+    metres = np.frombuffer(depth.data, np.float32).reshape(360, 640)
+    assert np.isfinite(metres).mean() > 0.8
+    bodies = stage.next("chase/segmentation")
+    assert bodies.encoding == "16UC1"
+    assert set(np.unique(np.frombuffer(bodies.data, np.uint16))) >= {0, 1}
+
+    scan = stage.next("scan")
+    ranges = np.array(scan.ranges)
+    assert scan.header.frame_id == "lidar"
+    assert len(ranges) == 1024
+    assert scan.angle_min == pytest.approx(-np.pi, abs=0.01)
+    points = points_of(stage.next("points"))
+    assert set(points.dtype.names or ()) == {"x", "y", "z", "intensity", "ring", "time"}
+    assert 1000 < len(points) <= 16 * 1024
+    assert points["ring"].max() == 15
+    assert 0.05 < points["time"].max() < 0.1
+    assert np.isfinite(points["x"]).all()
+    joints = stage.next("joint_states")
+    assert joints.name == ["left_wheel", "right_wheel"]
+    assert stage.next("imu").linear_acceleration.z == pytest.approx(9.81, abs=1)
+
+
+def test_time_can_stand_still_pass_in_steps_and_begin_anew(
+    stage: Stage, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    start("simulate", OWN_CLOCK, **START)
+    stage.seconds()
+    call = stage.listener.call
+    assert not call(Trigger, "simulate/step").success  # it isn't paused
+    assert call(SetBool, "simulate/pause", data=True).success
+    still = stage.settled()
+    assert stage.settled() == still
+    assert call(Trigger, "simulate/step").success
+    assert stage.settled() == pytest.approx(still + 0.01)
+    assert call(Trigger, "simulate/reset").message == "begins anew"
+    assert call(SetBool, "simulate/pause", data=False).success
+    stage.heard["clock"].clear()
+    assert stage.seconds() < 1
+
+
+def test_actuators_have_topics(stage: Stage, start: Callable[..., subprocess.Popen[str]]) -> None:
+    stage.hear(joint_states=JointState)
+    start("simulate", OWN_CLOCK, robot="arm", **START)
+    pan = stage.node.create_publisher(Float64, "actuators/shoulder_pan", 10)
+
+    def turned() -> bool:
+        pan.publish(Float64(data=float("nan")))  # is left out
+        pan.publish(Float64(data=0.4))
+        joints = stage.next("joint_states")
+        return bool(abs(joints.position[joints.name.index("shoulder_pan")] - 0.4) < 0.02)
+
+    stage.listener.wait(turned)
+    assert not stage.heard["odom"]  # what doesn't drive has none
+
+
+def test_a_state_that_explodes_is_said_once_and_reset_recovers(
+    stage: Stage, start: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    wild = tmp_path / "wild.xml"
+    wild.write_text(
+        '<mujoco><worldbody><body name="b" pos="0 0 1"><joint name="slide" type="slide"/>'
+        '<geom size="0.1"/></body></worldbody><actuator><motor name="linear_x" joint="slide" '
+        'gear="1e12"/></actuator></mujoco>'
+    )
+    log = Log(start("simulate", OWN_CLOCK, robot=wild, **START))
+    stage.next("odom")
+    push = stage.node.create_publisher(Float64, "actuators/linear_x", 10)
+
+    def exploded() -> bool:
+        push.publish(Float64(data=1e12))
+        stage.listener.spin_once()
+        return log.has("the state is not finite after")
+
+    stage.listener.wait(exploded)
+    assert not stage.listener.call(SetBool, "simulate/pause", data=False).success
+    for odom in stage.heard["odom"]:
+        assert np.isfinite(odom.pose.pose.position.x)
+    stage.heard["odom"].clear()
+    assert stage.listener.call(Trigger, "simulate/reset").success
+    stage.next("odom")
+    assert sum("not finite" in line for line in log.lines) == 1
+
+
+def test_without_a_whole_map_the_robot_waits(
+    node: Node, listener: Listener, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    log = Log(start("simulate", OWN_CLOCK, **START))
+    listener.wait(lambda: log.has("the robot waits: ") and log.has("no map has come yet"))
+    publisher = MapPublisher(node)
+    publisher.replace(ROOMS[:30_000], expected_slots=len(ROOMS))
+    listener.wait(lambda: log.has("the robot waits: ") and log.has("the map isn't complete"))
+    publisher.upsert(range(30_000, len(ROOMS)), ROOMS[30_000:])
+    listener.wait(lambda: log.has("mobile stands at -1.20, -1.20"))
+
+
+def test_what_is_no_robot_is_named(refusal: Callable[..., str], tmp_path: Path) -> None:
+    assert "robot 'walker': expected arm, mobile, quadrotor" in refusal("simulate", robot="walker")
+    broken = tmp_path / "broken.xml"
+    broken.write_text('<mujoco><asset><mesh name="a" file="away.stl"/></asset></mujoco>')
+    line = refusal("simulate", robot=broken)
+    assert "broken.xml" in line and "away.stl" in line
+    assert "parameter start: expected x, y and yaw" in refusal("simulate", start="[1.0]")
+
+
+def test_frames_of_bodies_cameras_and_the_map(node: Node) -> None:
+    """As TF has them, where tf2_msgs is."""
+    floor = Boxes(np.array([[-5.0, -5, -1]]), np.array([[5.0, 5, 0]]))
+    robot = RobotModel(robot_file("mobile", ROBOTS), floor, np.eye(4))
+    robot.command("linear_x", 0.5)
+    robot.step(1.0)
+    states = States(node, "odom")
+    states.stand(robot, "map", np.eye(4))
+    found = {each.child_frame_id: each for each in states.transforms(Time(sec=1))}
+    assert set(found) == {"base_link", "left_wheel", "right_wheel"}
+    assert found["base_link"].header.frame_id == "odom"
+    assert found["base_link"].transform.translation.x == pytest.approx(robot.pose(1)[0, 3])
+    assert found["left_wheel"].header.frame_id == "base_link"
+    assert found["left_wheel"].transform.translation.y == pytest.approx(0.17)
+    fixed = {each.child_frame_id: each for each in states.fixed(robot)}
+    assert fixed["camera_optical"].header.frame_id == "base_link"
+    turn = fixed["camera_optical"].transform.rotation  # forward is x, right is -y
+    np.testing.assert_allclose([turn.x, turn.y, turn.z, turn.w], [-0.5, 0.5, -0.5, 0.5], atol=1e-9)
+    assert fixed["lidar"].transform.translation.z == pytest.approx(0.265)
