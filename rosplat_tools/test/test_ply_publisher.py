@@ -200,7 +200,6 @@ def test_what_is_read_holds_up_nobody_and_ends_by_a_newer_request(
         return random_splats(int(name))
 
     monkeypatch.setattr("rosplat_tools.ply_publisher.load_scene_into", slow)
-    monkeypatch.setattr("rosplat_tools.ply_publisher.vertical", lambda _: None)
     roots = ["-r", f"__ns:={node.get_namespace()}", "-p", f"save_root:={tmp_path}"]
     rclpy.init(args=["--ros-args", *roots])
     publisher = PlyPublisher()
