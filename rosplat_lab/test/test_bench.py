@@ -333,3 +333,12 @@ def test_ways_to_fewer_splats_are_judged_along_a_path(tmp_path: Path) -> None:
     assert found["simplify, along the path"] > found["random"] + 3
     assert found["simplify, along the path, refitted"] >= found["simplify, along the path"]
     assert found["simplify"] < found["simplify, along the path"]
+
+
+def test_a_simulated_robot_is_timed_and_its_lidar_judged(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="no mujoco here (PyPI)")
+    records = bench(tmp_path, "simulate", "--sizes", "60k", "--seconds", "0.01")
+    found = {(record.name, *record.parameters.values()): record.value for record in records}
+    assert found["picture and depth, with physics",] > found["physics of 0.1 s",] > 0
+    assert found["error of ranges", "0 to 60 deg", "off edges"] < 5
+    assert found["ranges within 0.03 m", "0 to 60 deg", "off edges"] > 0.9

@@ -128,6 +128,10 @@ class Rooms:
         faces = self._faces
         return faces.corners, faces.corners + faces.first + faces.second
 
+    def corners(self) -> Array:
+        """(n, 2, 3) least and greatest corners of all boxes: floor, walls and furniture. [m]"""
+        return np.array([(box.low, box.high) for box in self._boxes])
+
     def lamp_centres(self) -> Array:
         """(rooms, 3) centres of the globes of radius LAMP. [m]"""
         return np.column_stack([_middles(), np.full(ROOMS**2, LAMP_HEIGHT)])

@@ -60,6 +60,9 @@ SUBJECTS = {
     "closure": Subject("a loop closure of 50 submaps, from the message to the picture"),
     "simplify": Subject("error of simplified maps, and the processor time of making them"),
     "occupancy": Subject("precision, recall and time of obstacles in a map"),
+    "simulate": Subject(
+        "a robot that MuJoCo moves: pictures with physics between them, a lidar's time and errors"
+    ),
     "align": Subject(
         "poses refined by pictures: how many starts end well, and how long that takes"
     ),

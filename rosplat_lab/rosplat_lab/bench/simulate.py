@@ -1,0 +1,134 @@
+"""A robot that lives in a map: pictures of its camera with physics between them, and lidar scans.
+
+Everything runs in one process, without ROS. The truth of ranges is that of generated rooms: the
+surfaces that their splats were laid on.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from ament_index_python.packages import get_package_share_directory
+
+from rosplat_core.generated.rooms import Rooms
+from rosplat_core.rendering import CpuRenderer
+from rosplat_core.scenes import ROOMS
+from rosplat_core.splats import SceneError
+from rosplat_core.upright import find_up
+from rosplat_lab.bench import scenes
+from rosplat_lab.bench.isolation import isolated
+from rosplat_lab.bench.plan import Plan
+from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
+from rosplat_lab.reference.room_rays import meet, off_edges
+from rosplat_tools import SplatCamera
+from rosplat_tools.lidars.scanning import Lidar, Pattern
+from rosplat_tools.simulation.physics import load_mujoco
+from rosplat_tools.simulation.robot_model import put_in_map
+
+SIZES, QUICK_SIZES = (500_000,), (20_000,)  # of rooms
+SEED = 0
+START = (-1.2, -1.2, 0.0)  # in rooms: in the middle one, between its doors [m, rad]
+PERIOD = 0.1  # between pictures [s]
+TURN = 1.0  # of the robot, on the spot [rad/s]
+CAMERA = "camera"  # 640x360
+RINGS, COLUMNS = 16, 1024
+HEIGHT = 0.3  # of the lidar over the floor [m]
+TURNS = 3  # scans from places beside START
+EDGE = 0.03  # rays that pass an edge by less are counted apart [m]
+CLOSE = 0.03  # an error that counts as small [m]
+ANGLES = (0, 30, 60, 75, 90)  # of incidence [deg]
+
+
+def measure(plan: Plan) -> Iterator[Event]:
+    """Milliseconds, also of a core, of a picture and of physics; errors and time of a lidar."""
+    try:
+        load_mujoco()
+    except SceneError as error:
+        yield Skipped(f"robots: {error}")
+        return
+    rooms = [f"{ROOMS}{size}" for size in plan.sizes or (QUICK_SIZES if plan.quick else SIZES)]
+    for number, name in enumerate([*rooms, *plan.scenes]):
+        yield Doing(name, number / (len(rooms) + len(plan.scenes)))
+        yield from isolated(_filmed, name, plan.budget)
+        if name in rooms:
+            yield from isolated(_scanned, name, plan.budget)
+
+
+def _filmed(name: str, budget: Budget) -> Iterator[Event]:
+    splats = scenes.load(name)
+    file = Path(get_package_share_directory("rosplat_tools")) / "robots/mobile.xml"
+    began = time.perf_counter()
+    start = START if name.startswith(ROOMS) else (0.0, 0.0, 0.0)
+    stands = put_in_map(file, splats, find_up(splats), start)
+    put = time.perf_counter() - began
+    robot = stands.robot
+    eye = SplatCamera(robot.model, robot.data, splats, map_pose=stands.map_pose)
+    if eye.problem:
+        yield Skipped(f"bodies in pictures: {eye.problem}")
+    robot.command("angular_z", TURN)
+
+    def of(quantity: str, work: Callable[[], object]) -> Iterator[Event]:
+        samples, used = _timed(work, budget)
+        yield Measurement.of(quantity, "ms", samples, name, len(splats))
+        yield Measurement.of(f"{quantity}, processor", "core-ms", used, name, len(splats))
+
+    def live() -> None:
+        robot.step(PERIOD)
+        eye.render(CAMERA)
+
+    yield Measurement.of("solid parts of the map", "s", put, name, len(splats), boxes=stands.boxes)
+    yield from of(f"physics of {PERIOD:g} s", lambda: robot.step(PERIOD))
+    yield from of("picture and depth, with physics", live)
+    yield from of("picture and depth, with bodies", lambda: eye.picture(CAMERA, bodies=True))
+
+
+def _scanned(name: str, budget: Budget) -> Iterator[Event]:
+    splats = scenes.load(name)
+    renderer, rooms = CpuRenderer(splats), Rooms(np.random.default_rng(SEED))
+    pattern = Pattern.of(RINGS, COLUMNS, -math.radians(15), math.radians(15))
+    lidar, random = Lidar(pattern), np.random.default_rng(SEED)
+    errors, angles, clear = [], [], []
+    pose = np.eye(4)
+    for _ in range(TURNS):
+        pose[:3, 3] = np.add((*START[:2], HEIGHT), random.uniform(-0.2, 0.2, 3))
+        eyes = np.broadcast_to(pose[:3, 3], pattern.rays.shape)
+        met = meet(rooms, eyes, pattern.rays)
+        errors.append(lidar.scan(renderer, np.linalg.inv(pose)).ranges - met.distances)
+        angles.append(np.degrees(met.angles))
+        clear.append(off_edges(rooms, eyes, pattern.rays, EDGE))
+    error, angle = np.abs(np.concatenate(errors)), np.concatenate(angles)
+    for low, high in (*pairwise(ANGLES), (0, 60)):
+        within = (angle >= low) & (angle < high)
+        for rays, chosen in (("all", within), ("off edges", within & np.concatenate(clear))):
+            said = {"incidence": f"{low} to {high} deg", "rays": rays}
+            known = error[chosen]
+            yield Measurement.of(
+                "error of ranges", "mm", 1e3 * np.median(known), name, len(splats), **said
+            )
+            yield Measurement.of(
+                f"ranges within {CLOSE:g} m", "share", np.mean(known < CLOSE), name, len(splats),
+                **said,
+            )  # fmt: skip
+    samples, used = _timed(lambda: lidar.scan(renderer, np.linalg.inv(pose)), budget)
+    for quantity, unit, values in (("scan", "ms", samples), ("scan, processor", "core-ms", used)):
+        yield Measurement.of(
+            quantity, unit, values, name, len(splats), rings=RINGS, columns=COLUMNS
+        )
+
+
+def _timed(work: Callable[[], object], budget: Budget) -> tuple[list[float], list[float]]:
+    """Milliseconds of each call, by the clock and of all cores together."""
+    used: list[float] = []
+
+    def once(_: int) -> float:
+        before = time.process_time()
+        passed = milliseconds(work)
+        used.append(1e3 * (time.process_time() - before))
+        return passed
+
+    return budget.spend(once), used[1:]  # the first call warms up
