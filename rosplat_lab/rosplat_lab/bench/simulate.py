@@ -93,12 +93,13 @@ def _scanned(name: str, budget: Budget) -> Iterator[Event]:
     pattern = Pattern.of(RINGS, COLUMNS, -math.radians(15), math.radians(15))
     lidar, random = Lidar(pattern), np.random.default_rng(SEED)
     errors, angles, clear = [], [], []
-    pose = np.eye(4)
+    pose = to_lidar = np.eye(4)
     for _ in range(TURNS):
         pose[:3, 3] = np.add((*START[:2], HEIGHT), random.uniform(-0.2, 0.2, 3))
         eyes = np.broadcast_to(pose[:3, 3], pattern.rays.shape)
         met = meet(rooms, eyes, pattern.rays)
-        errors.append(lidar.scan(renderer, np.linalg.inv(pose)).ranges - met.distances)
+        to_lidar = np.asarray(np.linalg.inv(pose))
+        errors.append(lidar.scan(renderer, to_lidar).ranges - met.distances)
         angles.append(np.degrees(met.angles))
         clear.append(off_edges(rooms, eyes, pattern.rays, EDGE))
     error, angle = np.abs(np.concatenate(errors)), np.concatenate(angles)
@@ -114,7 +115,7 @@ def _scanned(name: str, budget: Budget) -> Iterator[Event]:
                 f"ranges within {CLOSE:g} m", "share", np.mean(known < CLOSE), name, len(splats),
                 **said,
             )  # fmt: skip
-    samples, used = _timed(lambda: lidar.scan(renderer, np.linalg.inv(pose)), budget)
+    samples, used = _timed(lambda: lidar.scan(renderer, to_lidar), budget)
     for quantity, unit, values in (("scan", "ms", samples), ("scan, processor", "core-ms", used)):
         yield Measurement.of(
             quantity, unit, values, name, len(splats), rings=RINGS, columns=COLUMNS
