@@ -237,3 +237,35 @@ def test_frames_of_bodies_cameras_and_the_map(node: Node) -> None:
     turn = fixed["camera_optical"].transform.rotation  # forward is x, right is -y
     np.testing.assert_allclose([turn.x, turn.y, turn.z, turn.w], [-0.5, 0.5, -0.5, 0.5], atol=1e-9)
     assert fixed["lidar"].transform.translation.z == pytest.approx(0.265)
+
+
+def test_markers_are_what_cameras_see_of_the_robot(tmp_path: Path) -> None:
+    messages = pytest.importorskip("visualization_msgs.msg", reason="no visualization_msgs here")
+    from rosplat_tools.simulation.markers import markers_of
+
+    floor = Boxes(np.array([[-5.0, -5, -1]]), np.array([[5.0, 5, 0]]))
+    mobile = RobotModel(robot_file("mobile", ROBOTS), floor, np.eye(4))
+    mobile.step(0.5)
+    first, *shapes = markers_of(mobile).markers
+    assert first.action == messages.Marker.DELETEALL
+    assert len(shapes) == 9  # the map isn't among them
+    assert len({shape.id for shape in shapes}) == 9
+    (wheel,) = (shape for shape in shapes if shape.header.frame_id == "left_wheel")
+    assert wheel.type == messages.Marker.CYLINDER
+    np.testing.assert_allclose([wheel.scale.x, wheel.scale.y, wheel.scale.z], [0.12, 0.12, 0.03])
+    np.testing.assert_allclose([wheel.pose.position.x, wheel.pose.position.z], 0, atol=1e-9)
+    assert abs(wheel.pose.orientation.x) == pytest.approx(np.sqrt(0.5))
+    assert wheel.frame_locked
+
+    (tmp_path / "mesh.xml").write_text(
+        '<mujoco><asset><mesh name="a" builtin="sphere" params="1"/></asset><worldbody>'
+        '<body name="b" pos="0 0 2"><geom type="mesh" mesh="a" rgba="1 0 0 1"/>'
+        '<geom type="capsule" size="0.1 0.2" rgba="0 1 0 1"/></body></worldbody></mujoco>'
+    )
+    _, mesh, tube, *caps = markers_of(RobotModel(tmp_path / "mesh.xml", floor, np.eye(4))).markers
+    assert mesh.type == messages.Marker.TRIANGLE_LIST
+    corners = np.array([(point.x, point.y, point.z) for point in mesh.points])
+    assert len(corners) == 3 * 80
+    np.testing.assert_allclose(np.linalg.norm(corners, axis=1), 1, atol=0.02)
+    assert (mesh.color.r, tube.color.g) == (1.0, 1.0)
+    assert sorted(cap.pose.position.z for cap in caps) == pytest.approx([-0.2, 0.2])

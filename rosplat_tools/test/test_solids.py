@@ -179,6 +179,20 @@ def test_a_state_that_is_none_is_told_and_reset_recovers(tmp_path: Path) -> None
         robot.command("linear_x", np.nan)
 
 
+def test_defaults_of_a_robot_s_file_are_not_the_map_s(tmp_path: Path) -> None:
+    """Many files have geometries collide with nothing unless they say so."""
+    (tmp_path / "ball.xml").write_text(
+        '<mujoco><default><geom contype="0" conaffinity="0" group="2" type="mesh" margin="0.1"/>'
+        '</default><worldbody><body pos="0 0 1"><freejoint/><geom type="sphere" size="0.1" '
+        'contype="1" conaffinity="1" margin="0"/></body></worldbody></mujoco>'
+    )
+    floor = Boxes(np.array([[-5.0, -5, -1]]), np.array([[5.0, 5, 0]]))
+    robot = RobotModel(tmp_path / "ball.xml", floor, np.eye(4))
+    robot.step(2.0)
+    assert robot.pose(1)[2, 3] == pytest.approx(0.1, abs=0.01)
+    assert robot.model.geom_group.tolist() == [2, module.GROUP]
+
+
 @pytest.mark.parametrize("name", ["mobile", "arm", "quadrotor"])
 def test_own_robots_stay_where_they_are_without_commands(name: str) -> None:
     floor = Boxes(np.array([[-5.0, -5, -1]]), np.array([[5.0, 5, 0]]))

@@ -41,6 +41,11 @@ FAR, STEP = 5.0, 0.1  # how far from a wished place another is tried, and how de
 MOST_BOXES = 200_000  # beyond which a step takes long, and compiling minutes
 MOST_FILLED = 1 << 28  # voxels of the box around a map whose hollows are filled
 BODY = "map_solids"
+_CONTACT = {  # MuJoCo's defaults, whatever those of the robot's file are
+    "contype": 1, "conaffinity": 1, "condim": 3, "friction": (1.0, 0.005, 0.0001),
+    "margin": 0.0, "gap": 0.0, "priority": 0, "solmix": 1.0,
+    "solref": (0.02, 1.0), "solimp": (0.9, 0.95, 0.001, 0.5, 2.0),
+}  # fmt: skip
 GROUP = 3  # of geometries that collide, and that no camera shows, as MuJoCo has it
 
 Array = NDArray[np.float64]
@@ -180,7 +185,7 @@ def add_solids(spec: Any, boxes: Boxes, pose: Array) -> None:
     kind = load_mujoco().mjtGeom.mjGEOM_BOX
     body = spec.worldbody.add_body(name=BODY, pos=pose[:3, 3], quat=_quaternion(pose))
     for centre, half in zip(*_centred(boxes), strict=True):
-        body.add_geom(type=kind, pos=centre, size=half, group=GROUP)
+        body.add_geom(type=kind, pos=centre, size=half, group=GROUP, **_CONTACT)
 
 
 def save_solids(path: str | Path, boxes: Boxes, pose: Array, scene: str) -> None:
@@ -193,7 +198,8 @@ def save_solids(path: str | Path, boxes: Boxes, pose: Array, scene: str) -> None
         '<mujoco model="map">',
         f"  <!-- Solid parts of {_comment(scene)}: z is up, lengths are in metres. -->",
         "  <default>",
-        f'    <default class="{BODY}"><geom type="box" group="{GROUP}"/></default>',
+        f'    <default class="{BODY}"><geom type="box" group="{GROUP}" contype="1" '
+        'conaffinity="1" condim="3"/></default>',
         "  </default>",
         "  <worldbody>",
         f'    <body name="{BODY}" childclass="{BODY}">',

@@ -1,4 +1,4 @@
-"""What a robot in a simulation says of itself: TF, odometry, joints, an IMU."""
+"""What a robot in a simulation says of itself: TF, markers, odometry, joints, an IMU."""
 
 from __future__ import annotations
 
@@ -18,6 +18,13 @@ from rosplat_tools.frames import TF, TFMessage, transform
 from rosplat_tools.simulation.body_pictures import OPTICAL
 from rosplat_tools.simulation.robot_model import RobotModel, placed
 
+try:  # which environments from PyPI may lack
+    from visualization_msgs.msg import MarkerArray
+
+    from rosplat_tools.simulation.markers import markers_of
+except ImportError:
+    MarkerArray = None
+
 Array = NDArray[np.float64]
 
 SENSOR = QoSProfile(depth=10)
@@ -34,7 +41,11 @@ class States:
         self._joints = node.create_publisher(JointState, "joint_states", **overridable(SENSOR))
         self._odometry = node.create_publisher(Odometry, "odom", **overridable(SENSOR))
         self._imu = node.create_publisher(Imu, "imu", **overridable(SENSOR))
-        self._tf = self._tf_static = None
+        self._tf = self._tf_static = self._shapes = None
+        if TFMessage and MarkerArray:
+            self._shapes = node.create_publisher(
+                MarkerArray, "robot_markers", **overridable(FIRST_VIEW)
+            )
         if TFMessage:
             self._tf = node.create_publisher(TFMessage, "/tf", **overridable(TF))
             self._tf_static = node.create_publisher(
@@ -53,6 +64,8 @@ class States:
             header = Header(frame_id=map_frame)
             stands = transform(header, self._odom, to_pose(np.linalg.inv(map_pose)))
             self._tf_static.publish(TFMessage(transforms=[stands, *self.fixed(robot)]))
+        if self._shapes:
+            self._shapes.publish(markers_of(robot))
 
     def frame_of(self, body: int) -> str:
         """The frame of a body, by its number."""
