@@ -106,7 +106,7 @@ def test_a_robot_comes_with_its_scene() -> None:
     programs = started(launch=SIMULATE, scene="playbot", robot="arm", start="1 -2 0.5", up="0 -1 0")
     assert set(programs) == {"simulate", "ply_publisher"}
     simulate = programs["simulate"].parameters
-    assert simulate["start"] == [1.0, -2.0, 0.5]
+    assert list(simulate["start"]) == [1.0, -2.0, 0.5]
     assert (simulate["robot"], simulate["rate"], simulate["speed"]) == ("arm", 10.0, 1.0)
     assert programs["ply_publisher"].parameters["up"] == "0 -1 0"
     assert set(started(launch=SIMULATE)) == {"simulate"}

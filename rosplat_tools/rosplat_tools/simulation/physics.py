@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,9 @@ def compiled(spec: Any, path: str | Path) -> Any:
     """The MjModel of a spec of a file. Raises SceneError, naming the file: meshes that are missing,
     names that are there twice, numbers that make no sense."""
     try:
-        return spec.compile()
+        with warnings.catch_warnings():  # of attributes that are deprecated: the file's author's
+            warnings.simplefilter("ignore")
+            return spec.compile()
     except (ValueError, RuntimeError) as error:
         raise SceneError(f"{path}: {_reason(error)}") from error
 
