@@ -60,6 +60,7 @@ MARGIN = 0.95  # part of a picture that a whole object may fill
 STEPS = 3  # in which the best camera is moved
 PATIENCE = 5.0  # after so long, the best camera so far is taken [s]
 LEAST = 16  # cameras that are drawn all the same
+LOOKS = 240  # from within, that are drawn to find those that a scene surrounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +129,7 @@ def first_view(
         if time.monotonic() > began + PATIENCE and len(seen) >= LEAST:
             break
     within = [found for look, found in seen if look.kind == "within"]
-    covered = [found for found in within if found.covered > SURROUNDED and found.blurred < 0.2]
-    surrounding = len(covered) > len(within) / 2 > 0
+    surrounding = sum(found.surrounds for found in within) > len(within) / 2 > 0
     best, found = max(seen, key=lambda pair: pair[1].worth(surrounding))
     step = 1.0
     for _ in range(0 if cameras else STEPS):
@@ -142,6 +142,20 @@ def first_view(
         else:
             step /= 2
     return stage.placed(best)
+
+
+def views_within(splats: Splats, up: ArrayLike) -> list[FirstView]:
+    """Views from free places that a scene surrounds, such as rooms; none of another scene.
+
+    up (3,): the scene's vertical.
+    """
+    stage = _Stage(sample(splats), np.asarray(up, np.float64))
+    looks = _within(stage)
+    promising = _chosen(stage, looks)
+    if not sum(stage.seen(look).surrounds for look in promising) > len(promising) / 2:
+        return []
+    some = np.random.default_rng(0).permutation(len(looks))[:LOOKS]
+    return [stage.placed(looks[i]) for i in some if stage.seen(looks[i]).surrounds]
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,6 +214,11 @@ class _Seen:
     contrast: float
     within: bool
     """Whether the camera is among the splats."""
+
+    @property
+    def surrounds(self) -> bool:
+        """Whether the scene fills the picture, and hardly with what is too near."""
+        return self.covered > SURROUNDED and self.blurred < 0.2
 
     def worth(self, surrounding: bool) -> float:
         """surrounding: whether the scene does that."""

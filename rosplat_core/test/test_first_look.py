@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rosplat_core.cameras import Camera, look_at
-from rosplat_core.first_look import FirstView, first_view
+from rosplat_core.first_look import FirstView, first_view, views_within
 from rosplat_core.generated import generate
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.splats import Splats, concatenate
@@ -50,6 +50,13 @@ def test_rooms_are_shown_from_within(rooms: Splats) -> None:
     assert (view.eye > low).all()
     assert (view.eye < high).all()
     assert alpha(rooms, view).mean() > 0.95
+
+
+def test_views_within_are_of_scenes_that_surround_them(garden: Splats, rooms: Splats) -> None:
+    found = views_within(rooms, Z)
+    assert len(found) > 20
+    assert min(alpha(rooms, view).mean() for view in found[:10]) > 0.8
+    assert not views_within(garden, Z)
 
 
 @pytest.mark.parametrize("tilt", [(90, 0, 0), (70, 20, 10)])

@@ -321,6 +321,22 @@ def test_a_list_of_displays_is_refused_with_its_file(tmp_path: Path, text: str, 
         rviz.read_displays(file)
 
 
+def test_a_bound_is_judged_in_views_that_were_held_back(tmp_path: Path) -> None:
+    records = bench(tmp_path, "bound", "--sizes", "2k")
+    found = {
+        (record.name, record.parameters["views"]): record.value
+        for record in records
+        if record.unit == "dB" and record.parameters["bound"] == 35
+    }
+    assert found["PSNR", "held back"] > 34.7
+    for views in ("printed", "held back"):
+        worst, most, mean = (
+            found[name, views]
+            for name in ("PSNR of the worst view", "PSNR that most views reach", "PSNR")
+        )
+        assert worst <= most <= mean + 1
+
+
 def test_ways_to_fewer_splats_are_judged_along_a_path(tmp_path: Path) -> None:
     cameras = scenes.overview(generate(3000), 320, 180, 20)
     save_cameras(tmp_path / "path.json", cameras)

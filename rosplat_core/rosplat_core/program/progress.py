@@ -9,8 +9,8 @@ from tqdm import tqdm
 
 
 def bar(what: str, total: float = 1.0) -> tqdm[None]:
-    """A bar that disappears when its block ends."""
-    form = "{desc}: {percentage:3.0f}%|{bar}|"
+    """A bar with the time to go, that disappears when its block ends."""
+    form = "{desc}: {percentage:3.0f}%|{bar}| {remaining}"
     return tqdm(desc=what, total=total, bar_format=form, disable=None, leave=False)
 
 
@@ -23,10 +23,15 @@ def watched(what: str) -> Iterator[Callable[[float], None]]:
 
 @contextmanager
 def watched_tasks() -> Iterator[Callable[[str, float], None]]:
-    """As watched; the function is called with what is being done, too."""
+    """As watched; the function is called with what is being done, too, each of which is timed."""
     with bar("") as shown:
+        doing = ""
 
         def tell(what: str, part: float) -> None:
+            nonlocal doing
+            if what != doing:
+                doing = what
+                shown.reset()
             shown.set_description_str(what, refresh=False)
             shown.update(part - shown.n)
 

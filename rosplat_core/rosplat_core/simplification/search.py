@@ -1,72 +1,65 @@
-"""The smallest map that still looks like a given one."""
+"""The smallest map that still looks like a given one.
+
+1. Views of the whole map tell what each splat contributes, and what is lost without it.
+2. A search leaves out, or merges, what costs least, a quarter of the splats at a time: whichever of
+   the two makes the smaller error with as many, as pictures tell. It checks maps from views that
+   nothing was learnt from: SHARE of them reach the bound.
+3. The map that it finds is checked from new views. If too many miss the bound, these are learnt
+   from, count more than others, and are among those that the next search checks maps from.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
-from rosplat_core.maps import DELETE, UPSERT
-from rosplat_core.rendering import (
-    MOST_PSNR,
-    CpuRenderer,
-    edit,
-    insert_all,
-    posed,
-    psnr_of,
-)
-from rosplat_core.rendering import (
-    Contributions as Sums,
+from rosplat_core.rendering import MOST_PSNR, posed, psnr_of
+from rosplat_core.rendering import Contributions as Sums
+from rosplat_core.simplification.judging import (
+    LEAST_SHOWN,
+    Judge,
+    Quality,
+    Trial,
+    allowed,
+    exceeded,
 )
 from rosplat_core.simplification.merging import (
+    MOST,
     Contributions,
-    Indices,
     Pairs,
     areas,
     find_pairs,
     merge,
 )
-from rosplat_core.simplification.refitting import MOST_STEPS, picture, refit
+from rosplat_core.simplification.refitting import MOST_STEPS, refit
 from rosplat_core.simplification.views import HEIGHT, WIDTH, Along, Around, Views, resized
 from rosplat_core.splats import SceneError, Splats
 
-PIXELS = WIDTH * HEIGHT // 4  # of a view for contributions: more views gain more than more pixels
+PIXELS = 640 * 360  # of a view for contributions: more views gain more than more pixels
 VALUES = 3 * PIXELS
-LEARNT, MOST_LEARNT = 24, 768  # views for contributions, at first and at most
+LEARNT = 96  # views for contributions at first
+AGAIN = 0.25  # weight of views that missed a bound among all that are learnt from
 LEARNT_SEED = 0
-REFIT_SEED = 2  # of the views that maps are refitted to
-LEFT_OUT = 60.0  # PSNR down to which leaving out beats merging, where only a path matters [dB]
-BATCH = 1 << 19  # splats that are sent to a renderer at a time
+FRESH = 40  # new views that a map is checked in
+ROUNDS = 3  # in which these are learnt from, at most
+FRESH_SEED, REFIT_SEED = 1000, 2  # of these views, and of those that maps are refitted to
+FREE = 15.0  # so far above a bound is what is left out without a thought of merging [dB]
+COMPARED = 12  # views that tell whether leaving out or merging makes the smaller error
 UNSEEN = 0.03  # transmittance at which each splat counts as seen beside what views see of it
 CONTRAST = 0.09  # mean square difference that an unseen splat is taken to have from its background
 LEAST = 1e-30  # lower bound of errors in logarithms
 CLOSE = 0.01  # the search for the smallest map ends within this share of its splats
 NEAR = 0.2  # or within this above the bound [dB]
-ALIKE = 3.0  # maps whose PSNR is this close differ most in the same views [dB]
-TELLING = 3  # views that stand for all, once all were drawn
+TELLING = 4  # views beside those that may miss a bound, which tell whether more have to be drawn
+LIKELY = 3  # one in so many views is drawn then, those that differed most the last time
 COHERENT = 0.9  # first guess of log10 of the error of neighbours together over the sum of theirs
 
 Progress = Callable[[str, float], None]
 """Called with the present task, and how much of it is done, 0 to 1."""
-
-
-@dataclass(frozen=True)
-class Quality:
-    """How far a map's pictures are from those of the map that it was made from. [dB]"""
-
-    psnr: float
-    """Of all views together."""
-    worst: float
-    """Of the view that differs most."""
-
-    @classmethod
-    def of(cls, errors: NDArray[np.float64]) -> Quality:
-        """The quality for the mean square errors (n,) of views."""
-        return cls(psnr_of(float(errors.mean())), psnr_of(float(errors.max())))
 
 
 @dataclass(frozen=True)
@@ -77,126 +70,86 @@ class Step:
     quality: Quality
 
 
-class Judge:
-    """Compares maps with pictures of the original, from cameras of its own."""
+class Learnt:
+    """What views tell of splats: sums over views, each as if the map filled its picture.
 
-    def __init__(self, trial: Trial, cameras: list[Camera]) -> None:
-        self._poses = [posed(camera) for camera in cameras]
-        self._pictures = [picture(trial.renderer, camera) for camera in self._poses]
+    So thin things, which fill little of it, count like walls.
+    """
 
-    def __call__(self, splats: Splats) -> Quality:
-        """Quality of the pictures that a screen shows, over black."""
-        return Quality.of(self.errors(Trial(splats)))
+    def __init__(self, trial: Trial, places: Views) -> None:
+        """Raises SceneError where no camera of a path sees a splat, whatever its neighbours see."""
+        if places.path and not any(_look(trial, camera).weight.any() for camera in places.path):
+            raise SceneError(
+                "no camera of the path sees a splat: is it in the scene's coordinates?"
+            )
+        self._splats, self._places = trial.splats, places
+        self._sums = Contributions(*np.zeros((3, len(trial.splats))))
+        self.drawn = 0
+        """How many views were drawn at random."""
+        self.missed = 0
+        """How many that missed a bound were learnt from as well."""
+        self.views = 0.0
+        """How many views the sums are of, those that count several times so often."""
 
-    def errors(self, trial: Trial, which: Indices | None = None) -> NDArray[np.float64]:
-        """Mean square errors of the pictures from some of the views, by default all."""
-        views = range(len(self._poses)) if which is None else which
-        return np.array(
-            [
-                np.mean(np.square(picture(trial.renderer, self._poses[i]) - self._pictures[i]))
-                for i in views
-            ]
+    def look(self, trial: Trial, views: int, progress: Callable[[float], None]) -> None:
+        """Adds so many new views; trial: the whole map."""
+        self.drawn += views
+        self._add(trial, self._places.cameras(self.drawn, LEARNT_SEED)[-views:], 1.0, progress)
+
+    def look_again(
+        self, trial: Trial, cameras: Sequence[Camera], progress: Callable[[float], None]
+    ) -> None:
+        """Adds these views, as a part of AGAIN of all; trial: the whole map."""
+        self.missed += len(cameras)
+        times = max(1.0, AGAIN * self.views / len(cameras))
+        self._add(trial, cameras, times, progress)
+
+    def _add(
+        self,
+        trial: Trial,
+        cameras: Sequence[Camera],
+        times: float,
+        progress: Callable[[float], None],
+    ) -> None:
+        for number, camera in enumerate(cameras):
+            progress(number / len(cameras))
+            seen = _look(trial, camera)
+            for name in ("weight", "energy", "error"):
+                getattr(self._sums, name)[:] += times * getattr(seen, name)
+        self.views += times * len(cameras)
+
+    @property
+    def contributions(self) -> Contributions:
+        """The sums, with a little added for what no view sees: others will."""
+        splats, sums = self._splats, self._sums
+        hidden = sums.weight == 0
+        pixels = self._places.pixels * math.sqrt(WIDTH * HEIGHT / PIXELS)
+        unhidden = np.minimum(2 * math.pi * splats.opacities * areas(splats) / pixels**2, PIXELS)
+        weight = self.views * UNSEEN * unhidden
+        if self._places.complete:
+            weight *= hidden  # more for splats seen now and then would displace those that matter
+        energy = weight * UNSEEN * splats.opacities / 2  # a Gaussian's squares: half its integral
+        return Contributions(
+            sums.weight + weight, sums.energy + energy, sums.error + CONTRAST * energy
         )
 
-
-class Trial:
-    """A map in a renderer, with more or fewer of its pairs merged. Only changes are sent."""
-
-    def __init__(self, splats: Splats) -> None:
-        self.splats = splats
-        self.renderer = CpuRenderer()
-        self._revision = insert_all(self.renderer, splats)
-        self._count = 0
-
-    def merge(self, pairs: Pairs, count: int) -> None:
-        """Merges the first count of the map's pairs, and no other."""
-        before, self._count = self._count, count
-        if count > before:
-            first, merged, _ = pairs.merged(before, count)
-            self._edit(UPSERT, first, merged)
-            self._edit(DELETE, pairs.second[before:count], self.splats[:0])
-        else:
-            apart = slice(count, before)
-            slots = np.unique(np.concatenate([pairs.first[apart], pairs.second[apart]]))
-            self._edit(UPSERT, slots, self.splats[slots])
-
-    def _edit(self, operation: int, slots: Indices, splats: Splats) -> None:
-        for start in range(0, len(slots), BATCH):
-            part = slice(start, start + BATCH)
-            self._revision += 1
-            edit(self.renderer, operation, slots[part], splats[part], self._revision)
+    @property
+    def pixel(self) -> float:
+        """Size of a pixel at the splats, in views that maps are compared in. [m]"""
+        pixels, hidden = self._places.pixels, self._sums.weight == 0
+        return float(np.median(pixels if hidden.all() else pixels[~hidden]))
 
 
-@dataclass(frozen=True)
-class Learnt:
-    """What views tell of splats."""
-
-    contributions: Contributions
-    alone: Indices
-    """Splats by what is lost without them, the least first; empty where there is no path."""
-    pixel: float
-    """Size of a pixel at the splats, in views that maps are compared in. [m]"""
-    views: int
-
-
-def learn(trial: Trial, places: Views, progress: Progress) -> Learnt:
-    """Finds contributions in as many views as it takes: doubles them as long as that tells more.
-
-    The measure is what held-back views lose without the half of the splats that contributes least.
-    Raises SceneError where no camera of a path sees a splat, whatever its neighbours see.
-    """
-    if places.path and not any(_sees(trial, camera) for camera in places.path):
-        raise SceneError("no camera of the path sees a splat: is it in the scene's coordinates?")
-    held = []
-    for number, camera in enumerate(places.held):
-        progress("looking from the views to check", number / len(places.held))
-        seen = _look(trial, camera, Sums())
-        slots = np.flatnonzero(seen).astype(np.uint32)
-        held.append((slots, seen[slots]))
-    sums, views, before = Sums(), 0, 0.0
-    learnt: Learnt | None = None
-    while True:
-        more = max(LEARNT, views)
-        for number, camera in enumerate(places.cameras(views + more, LEARNT_SEED)[views:]):
-            progress(f"finding what contributes in {views + more} views", number / more)
-            errors = _look(trial, camera, sums)
-        least = errors <= np.median(errors)
-        worst = psnr_of(max(float(lost[least[slots]].sum()) for slots, lost in held) / VALUES)
-        if learnt and worst < before + places.still:
-            return learnt
-        views, before = views + more, worst
-        learnt = _learnt(trial.splats, places, sums, views)
-        if views >= MOST_LEARNT:
-            return learnt
-
-
-def _sees(trial: Trial, camera: Camera) -> bool:
-    sums = Sums()
-    _look(trial, camera, sums)
-    return bool(sums.weight.any())
-
-
-def _look(trial: Trial, camera: Camera, sums: Sums) -> NDArray[np.float32]:
-    """Adds a view to sums; returns (n,) squares by which pictures change without each splat."""
-    trial.renderer.contribute(posed(resized(camera, PIXELS)), sums)
-    return sums.error[: len(trial.splats)]
-
-
-def _learnt(splats: Splats, places: Views, sums: Sums, views: int) -> Learnt:
-    """The result of `views` views, with a little added for what no view sees: others will."""
-    found = [array[: len(splats)] for array in (sums.weight, sums.energy, sums.error)]
-    hidden = found[0] == 0
-    pixels = places.pixels * math.sqrt(WIDTH * HEIGHT / PIXELS)
-    unhidden = np.minimum(2 * math.pi * splats.opacities * areas(splats) / pixels**2, PIXELS)
-    weight = views * UNSEEN * unhidden
-    if places.complete:
-        weight *= hidden  # more for splats seen now and then would displace those that matter
-    energy = weight * UNSEEN * splats.opacities / 2  # a Gaussian's squares have half its integral
-    missed = (weight, energy, CONTRAST * energy)
-    contributions = Contributions(*(one + more for one, more in zip(found, missed, strict=True)))
-    alone = np.argsort(contributions.error, kind="stable")[:-1]
-    pixel = float(np.median(places.pixels if hidden.all() else places.pixels[~hidden]))
-    return Learnt(contributions, alone if places.complete else alone[:0], pixel, views)
+def _look(trial: Trial, camera: Camera) -> Contributions:
+    """What splats contribute to a view, as if the map filled it."""
+    camera, sums = resized(camera, PIXELS), Sums()
+    trial.renderer.contribute(posed(camera), sums)
+    found = [
+        array[: len(trial.splats)].astype(np.float64)
+        for array in (sums.weight, sums.energy, sums.error)
+    ]
+    shown = max(float(found[0].sum()), LEAST_SHOWN * camera.width * camera.height)
+    return Contributions(*(array * (PIXELS / shown) for array in found))
 
 
 class Simplification:
@@ -209,61 +162,126 @@ class Simplification:
         path: Sequence[Camera] | None = None,
         margin: float | None = None,
     ) -> None:
-        """Looks at the map along a path, see Along, or without a path from all around."""
-        self.splats = splats
+        """Looks at the map along a path, see Along, or without a path as Around does."""
+        self.splats = self._whole = splats
         self.steps: list[Step] = []
         self._progress = progress
         self.views: Views = Around(splats) if path is None else Along(splats, path, margin)
         self._trial: Trial | None = Trial(splats)
-        self.learnt = learn(self._trial, self.views, progress)
+        self.learnt = Learnt(self._trial, self.views)
+        self.learnt.look(self._trial, LEARNT, self._telling_of("finding what contributes to views"))
+        self.judge = Judge(
+            self._trial, self.views.checked, self._telling_of("drawing the views to check")
+        )
         self._contributions = self.learnt.contributions
-        self._values = self.learnt.views * VALUES
-        self._whole = splats, self._contributions
-        progress("drawing the views to check", 0.0)
-        self.judge = Judge(self._trial, self.views.held)
         # Fit to the tries so far: the error is about a power of the sum of the pairs' costs.
         self._slope, self._offset = 1.0, COHERENT
-        self._telling, self._others = np.arange(len(self.views.held)), 1.0
-        self._first = self._spare() if self.views.complete else self._pairs()
+        self._fresh, self._rounds = FRESH_SEED, 0
+        self._errors = np.full(len(self.judge), np.inf)  # of the judge's views, the last time
 
     def reduce(self, count: int) -> None:
         """Reduces the map to count splats, or a few fewer."""
+        while len(self.splats) > count:
+            alone, pairs = self._alone(), self._pairs()
+            fewer = min(len(pairs), len(alone), len(self.splats) - count)
+            self._trial = None  # of another map
+            self._merge(alone if self._is_no_worse(alone, pairs, fewer) else pairs, fewer)
         self._trial = None  # frees its memory
-        for pairs in self._rounds():
-            if len(self.splats) <= count:
-                return
-            self._merge(pairs, min(len(pairs), len(self.splats) - count))
 
     def shrink(self, bound: float) -> None:
-        """Reduces the map to about the fewest splats with a PSNR of bound [dB], maybe all."""
-        self.splats, self._contributions = self._whole
-        before = 0.0  # mean square of errors
-        for pairs in self._rounds():
-            count, before = self._most(pairs, bound, before)
+        """Reduces the map to about the fewest splats of which SHARE of the views reach bound [dB].
+
+        Checks the map from new views. While too many of these miss the bound, and ROUNDS are left,
+        they are learnt from, and the search begins anew, checked from them as well.
+        """
+        self._search(bound)
+        while self._rounds < ROUNDS and len(self.splats) < len(self._whole):
+            self._rounds += 1
+            count = self.look_anew()
+            new = np.arange(len(self.judge))[-count:]
+            tell = self._telling_of(f"checking {len(self.splats):,} splats in new views")
+            self._errors[new] = self.judge.errors(Trial(self.splats), new, tell)
+            missed = new[self._errors[new] > 10 ** (-bound / 10)]
+            if len(missed) <= allowed(count):
+                return
+            self._trial = trial = Trial(self._whole)
+            cameras = [self.judge.cameras[view] for view in missed]
+            tell = self._telling_of(f"learning from {len(missed)} views that miss the bound")
+            self.learnt.look_again(trial, cameras, tell)
+            tell = self._telling_of("finding what contributes to half as many views again")
+            self.learnt.look(trial, self.learnt.drawn // 2, tell)
+            if self._rounds == ROUNDS:  # about half of what is missed is learnt
+                bound += (bound - psnr_of(exceeded(self._errors[new]))) / 2
+            self._search(bound)
+
+    def look_anew(self) -> int:
+        """Gives the judge new views, from which nothing was learnt; returns how many."""
+        self._trial = None  # frees its memory
+        cameras = self.views.cameras(FRESH, self._fresh)
+        self._fresh += 1
+        self.judge.add(Trial(self._whole), cameras, self._telling_of("drawing new views"))
+        self._errors = np.append(self._errors, np.full(FRESH, np.inf))
+        return FRESH
+
+    def deciding(self, splats: Splats) -> float:
+        """What SHARE of the views reach, by those that differed most in the search. [dB]"""
+        return psnr_of(self._of_worst(Trial(splats), allowed(len(self.judge)) + TELLING))
+
+    def _search(self, bound: float) -> None:
+        """Reduces the map to about the fewest splats that the judge's views allow, maybe all."""
+        self.splats, self._contributions = self._whole, self.learnt.contributions
+        error = 0.0
+        while len(self.splats) > 1:
+            pairs, count, error = self._cheapest(bound, error)
             self._trial = None  # frees its memory
             self._merge(pairs, count)
-            if count < len(pairs) or psnr_of(before) < bound + NEAR:
+            if count < len(pairs) or psnr_of(error) < bound + NEAR:
                 return
+
+    def _cheapest(self, bound: float, before: float) -> tuple[Pairs, int, float]:
+        """What to leave out or merge, how many of these, and the error then. before: the error now.
+
+        Leaves out where that makes next to no error, or less than merging as many.
+        """
+        alone = self._alone()
+        error = self._look(alone, len(alone), bound + FREE)
+        if psnr_of(error) >= bound + FREE:
+            return alone, len(alone), error
+        pairs = self._pairs()
+        count, error = self._most(pairs, bound, before)
+        if self._is_no_worse(alone, pairs, min(count, len(alone))):
+            more, less = self._most(alone, bound, before)
+            if more >= count:
+                return alone, more, less
+        return pairs, count, error
+
+    def _is_no_worse(self, one: Pairs, other: Pairs, count: int) -> bool:
+        """Whether the first count of one make no larger an error than as many of the other."""
+        trial = self._trial = self._trial or Trial(self.splats)
+        errors = []
+        for pairs in (one, other):
+            trial.apply(pairs, count)
+            views = np.linspace(0, len(self.judge) - 1, COMPARED).astype(np.intp)
+            errors.append(float(self.judge.errors(trial, views).mean()))
+        return errors[0] <= errors[1]
 
     def refine(
         self, seconds: float, bound: float = MOST_PSNR, most_steps: int = MOST_STEPS
     ) -> bool:
         """Refits the map for `seconds` [s], most_steps, or until it has a PSNR of bound [dB].
 
-        Keeps only a map that is better in the held-back views together, and no worse in the worst
-        of them. Ctrl-C ends the fit and keeps the best map so far; without one, it is raised.
+        Keeps only a map of which SHARE of the checked views reach more, and the worst no less.
+        Ctrl-C ends the fit and keeps the best map so far; without one, it is raised.
         Returns whether there was no Ctrl-C.
         """
         self._trial = None  # frees its memory
-        whole = self._whole[0]
         first = best = self.judge(self.splats)
         undisturbed = True
         self.steps.append(Step(len(self.splats), first))
         fitted = refit(
-            self.splats, Trial(whole).renderer,
+            self.splats, Trial(self._whole).renderer,
             self.views.cameras, seconds,
-            lambda part: self._progress(f"refitting {len(self.splats):,} splats", part), REFIT_SEED,
-            most_steps,
+            self._telling_of(f"refitting {len(self.splats):,} splats"), REFIT_SEED, most_steps,
         )  # fmt: skip
         try:
             for splats in fitted:
@@ -280,7 +298,7 @@ class Simplification:
         return undisturbed
 
     def _most(self, pairs: Pairs, bound: float, before: float) -> tuple[int, float]:
-        """How many pairs may be merged, and the mean square error then. before: the error now."""
+        """How many pairs may be merged, and the error then. before: the error now."""
         costs = np.log10(np.cumsum(pairs.costs, dtype=np.float64) / self._values + LEAST)
         aim = math.log10(max(10 ** (-(bound + NEAR / 2) / 10) - before, LEAST))
         good, bad, error = 0, len(pairs) + 1, before
@@ -304,47 +322,50 @@ class Simplification:
         return good, error
 
     def _look(self, pairs: Pairs, count: int, bound: float) -> float:
-        """Mean square error with the first count pairs merged.
+        """The error that decides, see exceeded(), with the first count pairs merged.
 
-        Once a map of about that PSNR was drawn from all views, first draws those that differed
-        most: maps that fail there are told from three views, but none passes unseen by the others.
+        Draws the views that differed most the last time, and more only where these keep the bound.
         """
-        left = len(self.splats) - count
-        self._progress(f"checking {left:,} splats", 0.0)
         trial = self._trial = self._trial or Trial(self.splats)
-        trial.merge(pairs, count)
-        if self.steps and abs(self.steps[-1].quality.psnr - bound) < ALIKE:
-            estimate = self._others * float(self.judge.errors(trial, self._telling).mean())
-            if psnr_of(estimate) < bound:
-                return estimate
-        errors = self.judge.errors(trial)
-        self.steps.append(Step(left, Quality.of(errors)))
-        self._telling = np.argsort(-errors)[:TELLING]
-        error = float(errors.mean())
-        self._others = error / max(float(errors[self._telling].mean()), LEAST)
+        trial.apply(pairs, count)
+        error = self._of_worst(trial, allowed(len(self.judge)) + TELLING)
+        if psnr_of(error) < bound:
+            return error
+        unknown = int(np.isinf(self._errors).sum())
+        error = self._of_worst(trial, max(len(self.judge) // LIKELY, unknown))
+        self.steps.append(Step(len(self.splats) - count, Quality.of(self._errors)))
         return error
 
-    def _rounds(self) -> Iterator[Pairs]:
-        pairs = (self._first if self.splats is self._whole[0] else None) or self._pairs()
-        while len(pairs):
-            yield pairs
-            pairs = self._pairs()
+    def _of_worst(self, trial: Trial, count: int) -> float:
+        """The error that decides, by the count views that differed most the last time."""
+        worst = np.argsort(-self._errors, kind="stable")[: max(count, allowed(len(self.judge)) + 1)]
+        tell = self._telling_of(f"checking for the bound in {len(worst)} views")
+        self._errors[worst] = self.judge.errors(trial, worst, tell)
+        return exceeded(self._errors[worst], len(self.judge))
 
-    def _spare(self) -> Pairs:
-        """The splats to leave out before any merge: as many as keep a PSNR of LEFT_OUT."""
+    @property
+    def _values(self) -> float:
+        """Values of the pictures that contributions are sums of."""
+        return VALUES * self.learnt.views
 
-        def first(count: int) -> Pairs:
-            which = self.learnt.alone[:count]
-            costs = self._contributions.error[which]
-            return Pairs(self.splats, self._contributions, which, which, costs, self.learnt.pixel)
-
-        return first(self._most(first(len(self.splats)), LEFT_OUT, 0.0)[0])
+    def _alone(self) -> Pairs:
+        """The splats to leave out next, those first that are missed least."""
+        errors = self._contributions.error
+        most = max(1, int(MOST * len(errors)))
+        which = np.argpartition(errors, most - 1)[:most]
+        which = which[np.argsort(errors[which], kind="stable")]
+        return Pairs(
+            self.splats, self._contributions, which, which, errors[which], self.learnt.pixel
+        )
 
     def _pairs(self) -> Pairs:
         return find_pairs(
             self.splats, self._contributions, self.learnt.pixel,
-            lambda part: self._progress(f"pairing {len(self.splats):,} splats", part),
+            self._telling_of(f"pairing {len(self.splats):,} splats"),
         )  # fmt: skip
 
     def _merge(self, pairs: Pairs, count: int) -> None:
         self.splats, self._contributions = merge(self.splats, self._contributions, pairs, count)
+
+    def _telling_of(self, what: str) -> Callable[[float], None]:
+        return lambda part: self._progress(what, part)

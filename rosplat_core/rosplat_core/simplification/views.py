@@ -13,10 +13,14 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from rosplat_core.cameras import Camera, Place, look_at, place
+from rosplat_core.first_look import sample, views_within
 from rosplat_core.simplification.merging import in_chunks
 from rosplat_core.splats import SceneError, Splats
+from rosplat_core.upright import find_up
 
-WIDTH, HEIGHT = 1280, 720  # [px]
+Point = NDArray[np.float64]
+
+WIDTH, HEIGHT = 960, 540  # of views that maps are compared in [px]
 FOCAL = 0.5 * HEIGHT / math.tan(math.radians(30))  # 60 degrees from top to bottom [px]
 NEAREST, FARTHEST = 0.1, 2.5  # distances of cameras from the map's middle, in its radii
 WIDEST = 1e9  # most radius of a map, so that 32-bit floats hold near planes [m]
@@ -24,9 +28,13 @@ REMOTEST = 1e12  # most distance of a map from zero, in its radii: cameras are i
 CELLS = 16  # of the grid that tells free places, in a radius
 OPAQUE = 0.3  # least opacity of splats that no camera is put beside
 PATIENCE = 64  # tries to find a free place for a camera
-CHECKED = 8  # held-back views, by which maps are judged
-HELD = 30  # the same along a path
-HELD_SEED = 1
+ORBITS = 1.0, 2.4  # distances of cameras around a map from its middle, in its radii
+LOWEST, HIGHEST = -15, 75  # their elevations [deg]
+OFF = 0.15  # standard deviation of what they look at from the middle, in radii
+ASTRAY = 20  # by which cameras within are turned at most, each way [deg]
+STRAY = 0.05  # by which they are moved at most, as a share of their view's depth
+CHECKED = 40  # views that a search begins to check maps by
+CHECKED_SEED = 1
 LEAST_BETWEEN = 10  # cameras of a path from one that is held back to the next
 MARGIN = 0.25  # of neighbours from the path, as a share of the way to the nearest splats
 TURN = 10  # by which neighbours are turned at most [deg]
@@ -61,10 +69,8 @@ class Views(Protocol):
     """The path's own cameras; empty without a path."""
     complete: bool
     """Whether a splat that shows in none of many such views need not show in any."""
-    still: float
-    """Views are enough once the worst held-back view gains less than this from more. [dB]"""
-    held: list[Camera]
-    """Held-back views: maps are judged by them, and nothing is learnt from them."""
+    checked: list[Camera]
+    """The views that a search begins to check maps by."""
     pixels: NDArray[np.float64]
     """(n,) size of a pixel at each splat. [m]"""
 
@@ -73,11 +79,14 @@ class Views(Protocol):
 
 
 class Around:
-    """Cameras at free places in and around the bulk of a map, each of which looks at some splat."""
+    """Cameras where a map is looked at from.
+
+    Within, where the map surrounds its free places, as rooms do. Else half of them orbit its
+    middle, and half are at free places, near and far, and look at some splat.
+    """
 
     margin: float | None = None
     complete: bool = False
-    still: float = 3.0  # merging makes up for much
 
     def __init__(self, splats: Splats) -> None:
         """Raises SceneError, as whereabouts."""
@@ -88,39 +97,65 @@ class Around:
         targets = offsets[np.linalg.norm(offsets, axis=1) <= radius].astype(np.float32)
         self._targets = targets if len(targets) else np.zeros((1, 3), np.float32)
         self._taken = _cells(offsets[splats.opacities >= OPAQUE], radius)
+        self._up = np.asarray(splats.up or find_up(sample(splats)), np.float64)
+        self._within = views_within(splats, self._up)
         self.pixels = np.broadcast_to(radius / FOCAL, len(splats))
-        self.held = self.cameras(CHECKED, HELD_SEED)
+        self.checked = self.cameras(CHECKED, CHECKED_SEED)
 
     def cameras(self, count: int, seed: int) -> list[Camera]:
         """The first count views of a seed; another seed gives other views."""
         random = np.random.default_rng(seed)
-        radius = self._here.radius
+        kinds = [self._inside] if self._within else [self._orbiting, self._free]
         cameras = []
         for index in range(count):
-            for _ in range(PATIENCE):
-                outward = random.normal(size=3)
-                outward *= random.uniform(NEAREST, FARTHEST) * radius / np.linalg.norm(outward)
-                target = self._targets[random.integers(len(self._targets))]
-                far_enough = np.linalg.norm(outward - target) > NEAREST * radius
-                if far_enough and not _beside(outward, self._taken, radius):
-                    break
-            else:
-                outward = FARTHEST * radius * outward / np.linalg.norm(outward)
-            centre = self._here.centre
+            eye, target = kinds[index % len(kinds)](random)
+            view = look_at(eye, target, self._up)
             cameras.append(
                 Camera(
-                    index, WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2,
-                    look_at(centre + outward, centre + target), near=0.001 * radius,
+                    index, WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2, view,
+                    near=0.001 * self._here.radius,
                 )
             )  # fmt: skip
         return cameras
+
+    def _inside(self, random: np.random.Generator) -> tuple[Point, Point]:
+        view = self._within[random.integers(len(self._within))]
+        ahead = view.target - view.eye
+        eye = view.eye + STRAY * np.linalg.norm(ahead) * random.uniform() * _direction(random)
+        yaw, pitch = np.radians(random.uniform(-ASTRAY, ASTRAY, 2))
+        aside = np.cross(ahead, self._up)
+        turn = Rotation.from_rotvec(yaw * self._up / np.linalg.norm(self._up))
+        turn *= Rotation.from_rotvec(pitch * aside / np.linalg.norm(aside))
+        return eye, eye + turn.apply(ahead)
+
+    def _orbiting(self, random: np.random.Generator) -> tuple[Point, Point]:
+        low, high = np.sin(np.radians([LOWEST, HIGHEST]))
+        up = self._up / np.linalg.norm(self._up)
+        outward = np.cross(up, _direction(random))
+        outward *= math.sqrt(1 - (height := random.uniform(low, high)) ** 2) / np.linalg.norm(
+            outward
+        )
+        radius, centre = self._here.radius, self._here.centre
+        eye = centre + random.uniform(*ORBITS) * radius * (outward + height * up)
+        return eye, centre + OFF * radius * random.normal(size=3)
+
+    def _free(self, random: np.random.Generator) -> tuple[Point, Point]:
+        radius, centre = self._here.radius, self._here.centre
+        for _ in range(PATIENCE):
+            outward = random.uniform(NEAREST, FARTHEST) * radius * _direction(random)
+            target = self._targets[random.integers(len(self._targets))]
+            far_enough = np.linalg.norm(outward - target) > NEAREST * radius
+            if far_enough and not _beside(outward, self._taken, radius):
+                break
+        else:
+            outward *= FARTHEST * radius / np.linalg.norm(outward)
+        return centre + outward, centre + target
 
 
 class Along:
     """Cameras along a path, and neighbours of them: beside the path, and turned."""
 
     complete: bool = True
-    still: float = 1.0
 
     def __init__(self, splats: Splats, path: Sequence[Camera], margin: float | None = None) -> None:
         """margin: most distance of neighbours from the path [m], by default MARGIN of the median
@@ -136,12 +171,12 @@ class Along:
         self.pixels = np.broadcast_to(depth / focal, len(splats))
         up = -np.mean([camera.world_to_camera[1, :3] for camera in path], axis=0)
         self._up = up / max(float(np.linalg.norm(up)), 1e-9)
-        every = max(LEAST_BETWEEN, math.ceil(len(path) / (HELD // 2)))
+        every = max(LEAST_BETWEEN, math.ceil(len(path) / (CHECKED // 2)))
         learnt = np.arange(len(path)) % every != every // 2
         self._learnt = [path[i] for i in np.flatnonzero(learnt)]
         self._reach = np.minimum(self.margin, free[learnt] / 2)
-        self.held = [path[i] for i in np.flatnonzero(~learnt)]
-        self.held += self.cameras(HELD - len(self.held), HELD_SEED)
+        self.checked = [path[i] for i in np.flatnonzero(~learnt)]
+        self.checked += self.cameras(CHECKED - len(self.checked), CHECKED_SEED)
 
     def cameras(self, count: int, seed: int) -> list[Camera]:
         """The first count views of a seed; another seed gives other views."""

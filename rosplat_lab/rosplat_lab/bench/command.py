@@ -59,6 +59,7 @@ SUBJECTS = {
     "levels": Subject("time, memory and popping of levels of detail"),
     "closure": Subject("a loop closure of 50 submaps, from the message to the picture"),
     "simplify": Subject("error of simplified maps, and the processor time of making them"),
+    "bound": Subject("what simplify promises, and what views have that it never saw"),
     "occupancy": Subject("precision, recall and time of obstacles in a map"),
     "simulate": Subject(
         "a robot that MuJoCo moves: pictures with physics between them, a lidar's time and errors"
@@ -222,7 +223,8 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument(
         "--cameras", type=Path, metavar="FILE",
-        help="simplify: also for the views along this path, by which every way is then judged",
+        help="simplify: also for the views along this path, by which every way is then judged; "
+        "bound: for its odd cameras, by the even ones",
     )  # fmt: skip
     parser.add_argument(
         "--seconds",

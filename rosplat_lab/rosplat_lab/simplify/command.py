@@ -1,8 +1,9 @@
 """Writes a scene with fewer splats that looks the same, from the scene alone.
 
 Synthetic views measure what each splat contributes. Splats that are missed least are left out, or
-merged with a neighbour. Other views check the PSNR against the whole scene. With a path of cameras,
-all of these views are along the path.
+merged with a neighbour. Other views check the PSNR against the whole scene, where that shows; those
+that miss the bound are learnt from, until 95 % of new views keep it. With a path of cameras, all of
+these views are along the path.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 from rosplat_core.formats import SUFFIXES, check_output, load, save
@@ -28,12 +29,14 @@ from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched, watched_tasks
 from rosplat_core.rendering import MOST_PSNR
 from rosplat_core.scenes import NAMES, load_scene
-from rosplat_core.simplification.search import LEARNT, Quality, Simplification
-from rosplat_core.simplification.views import CHECKED, HEIGHT, HELD, MARGIN, WIDTH, whereabouts
+from rosplat_core.simplification.judging import SHARE, Quality, Trial
+from rosplat_core.simplification.search import FRESH, LEARNT, Simplification
+from rosplat_core.simplification.views import CHECKED, HEIGHT, MARGIN, WIDTH, whereabouts
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import SceneError, Splats
 from rosplat_lab.arguments import number, sized, whole
 from rosplat_lab.machine import commit, machine, peak_bytes
+from rosplat_lab.simplify import worst_view
 from rosplat_lab.simplify.path import along
 
 TRIES = 8  # to come below a number of bytes, or to make up for what a format loses
@@ -83,17 +86,17 @@ def main(arguments: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="simplify", description=__doc__,
-        epilog=f"Contributions are measured in {LEARNT} or more views of {WIDTH // 2}x"
-        f"{HEIGHT // 2} pixels. {CHECKED} other views ({HELD} along a path) of {WIDTH}x{HEIGHT} "
-        "check the PSNR of all their pixels; the worst is printed, too. If a bound can't be "
-        "met, nothing is written, and the error says what is possible.",
+        epilog=f"Contributions are measured in {LEARNT} or more views. {CHECKED} other views of "
+        f"{WIDTH}x{HEIGHT} pixels, and {FRESH} new ones after each search, check the PSNR. The "
+        "mean and the worst view are printed, too. If a bound can't be met, nothing is written, "
+        "and the error says what is possible.",
     )  # fmt: skip
     parser.add_argument("input", metavar="IN", help=f"scene: {NAMES}")
     parser.add_argument("output", metavar="OUT", help=f"scene to write ({SUFFIXES})")
     parser.add_argument(
         "--psnr", type=_decibels, metavar="DB",
-        help="keep the fewest splats whose file reaches this PSNR; at 50 a difference is "
-        "hardly visible",
+        help=f"keep the fewest splats of whose file {100 * SHARE:g} %% of the views reach this "
+        "PSNR; at 50 a difference is hardly visible",
     )  # fmt: skip
     parser.add_argument(
         "--max-splats", type=whole(1), metavar="N", help="keep at most so many splats"
@@ -131,7 +134,14 @@ def _parser() -> argparse.ArgumentParser:
         help="write the figures of all maps that were tried, as JSON",
     )
     parser.add_argument(
-        "--overwrite", action="store_true", help="replace an output or a report that exists"
+        "--picture", type=Path, metavar="FILE",
+        help="write the view that differs most: of the scene, of what is left, and "
+        f"{worst_view.TIMES} times the difference ({' or '.join(worst_view.ENDINGS)})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace an output, a report or a picture that exists",
     )
     return parser
 
@@ -151,8 +161,11 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
     check_output(out, options.overwrite)
     if out.exists() and _same(out, Path(options.input)):
         raise SceneError(f"{out}: is the scene itself")
-    if options.report:
-        _check_report(options.report, options)
+    for file in filter(None, (options.report, options.picture)):
+        _check_beside(file, options)
+    if options.picture and options.picture.suffix not in worst_view.ENDINGS:
+        endings = " or ".join(worst_view.ENDINGS)
+        raise SceneError(f"{options.picture}: a picture ends in {endings}")
     with _folder_beside(out):
         pass  # refuses now, not after all the work
     path = along(options.cameras, options.trajectory)
@@ -172,21 +185,37 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
     with ExitStack() as drafts, watched_tasks() as tell:
         output = Output(out, drafts)
         work = Simplification(splats, tell, path, options.margin)
-        written, quality = _within(work, output, *bounds, 60 * options.refine)
+        written = _within(work, output, *bounds, 60 * options.refine)
+        new = work.look_anew()
+        errors = work.judge.errors(
+            Trial(written.splats), progress=partial(tell, "checking the file")
+        )
+        quality = Quality.of(errors)
         output.draft.replace(out)
     seconds = time.monotonic() - read
     if work.steps:
-        say(f"{'splats':>12} {'of all':>7} {'PSNR':>6} {'worst view':>10}")
+        reach = f"{100 * SHARE:g} % reach"
+        say(f"{'splats':>12} {'of all':>7} {reach:>10} {'mean':>6} {'worst':>6}")
     for step in sorted(work.steps, key=lambda step: -step.splats):
         say(_row(step.splats, len(splats), step.quality))
-    views = {"learnt": work.learnt.views, "checked": len(work.views.held)}
+    learnt, checked = work.learnt.drawn + work.learnt.missed, len(work.judge)
     margin = work.views.margin
-    within = "" if margin is None else f" within {margin:.2g} m of the path"
-    say(f"learnt in {views['learnt']} views, checked in {views['checked']} others{within}")
+    within = "" if margin is None else f", all within {margin:.2g} m of the path"
+    say(f"learnt from {learnt} views, checked in {checked}{within}")
+    reached = int((errors[-new:] <= 10 ** (-options.psnr / 10)).sum()) if options.psnr else None
+    if options.psnr:
+        say(
+            f"{reached} of {new} new views, which nothing was learnt from, reach "
+            f"{options.psnr:g} dB"
+        )
     say(
         f"{out}: {len(work.splats):,} of {len(splats):,} splats, {written.bytes:,} bytes, "
-        f"{quality.psnr:.1f} dB, {quality.worst:.1f} in the view that differs most; {seconds:.1f} s"
+        f"{quality.psnr:.1f} dB in {100 * SHARE:g} % of the views, mean {quality.mean:.1f}, "
+        f"worst {quality.worst:.1f}; {seconds:.1f} s"
     )
+    if options.picture:
+        worst_view.write(options.picture, *work.judge.worst(written.splats))
+        say(f"wrote {options.picture}")
     if options.report:
         report = {
             "scene": options.input,
@@ -195,7 +224,8 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
             "of": len(splats),
             "bytes": written.bytes,
             **asdict(quality),
-            "views": views | ({} if margin is None else {"margin_m": margin}),
+            "views": {"learnt": learnt, "checked": checked, "new": new, "new_that_reach": reached}
+            | ({} if margin is None else {"margin_m": margin}),
             "steps": [{"splats": s.splats, **asdict(s.quality)} for s in work.steps],
             "reading_s": read - began,
             "seconds": seconds,
@@ -209,8 +239,8 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
         say(f"wrote {options.report}")
 
 
-def _check_report(report: Path, options: argparse.Namespace) -> None:
-    """Raises SceneError, before any work, where a report can't be written, or would be a loss."""
+def _check_beside(report: Path, options: argparse.Namespace) -> None:
+    """Raises SceneError, before any work, where a file can't be written, or would be a loss."""
     if not report.parent.is_dir():
         raise SceneError(f"{report}: {report.parent} is no folder")
     if report.exists() and not report.is_file():
@@ -232,7 +262,10 @@ def _same(one: Path, other: Path) -> bool:
 
 
 def _row(count: int, of: int, quality: Quality) -> str:
-    return f"{count:12,} {100 * count / of:6.1f}% {quality.psnr:6.1f} {quality.worst:10.1f}"
+    share = 100 * count / of
+    return (
+        f"{count:12,} {share:6.1f}% {quality.psnr:10.1f} {quality.mean:6.1f} {quality.worst:6.1f}"
+    )
 
 
 def _within(
@@ -242,7 +275,7 @@ def _within(
     max_splats: int | None,
     max_bytes: int | None,
     refine: float,
-) -> tuple[Written, Quality]:
+) -> Written:
     """Brings a map within its bounds; returns what its file will hold. Raises SceneError."""
     every = work.splats
     splats, size = max_splats or len(every), max_bytes or sys.maxsize
@@ -251,20 +284,18 @@ def _within(
         if refine > 0:
             work.refine(refine)
             written = _as_small_as(work, output, splats, size)
-        return written, work.judge(written.splats)
+        return written
     refitted = _refitted(work, output, psnr, refine) if refine > 0 else None
-    written, quality = refitted or _as_good_as(work, every, output, psnr)
+    written = refitted or _as_good_as(work, every, output, psnr)
     if len(written.splats) <= splats and written.bytes <= size:
-        return written, quality
+        return written
     needed = f"{psnr:g} dB take {len(written.splats):,} splats in {written.bytes:,} bytes"
     written = _as_small_as(work, output, splats, size)
     less = work.judge(written.splats).psnr
     raise SceneError(f"{output.path}: {needed}; {len(written.splats):,} splats have {less:.1f} dB")
 
 
-def _as_good_as(
-    work: Simplification, every: Splats, output: Output, psnr: float
-) -> tuple[Written, Quality]:
+def _as_good_as(work: Simplification, every: Splats, output: Output, psnr: float) -> Written:
     """Few splats of a PSNR. Raises SceneError if the format can't have it, or all are needed."""
     bound = psnr
     of_all: float | None = None  # PSNR of the whole map in this format [dB]
@@ -273,10 +304,10 @@ def _as_good_as(
         short = 0.0
         if len(work.splats) < len(every):
             written = output.write(work.splats)
-            quality = work.judge(written.splats)
-            if quality.psnr >= psnr:
-                return written, quality
-            short = psnr - quality.psnr
+            reached = work.deciding(written.splats)
+            if reached >= min(psnr, work.deciding(work.splats) - EXCESS):
+                return written
+            short = psnr - reached
         if of_all is None:
             of_all = work.judge(output.write(every).splats).psnr
         if of_all < psnr:
@@ -289,16 +320,16 @@ def _as_good_as(
         # Errors of merging and of the format add up, about.
         left = max(10 ** (-psnr / 10) - 10 ** (-of_all / 10), 1e-15)
         bound = max(bound + short + EXCESS, -10 * math.log10(left))
-    tried = max(work.steps, key=lambda step: step.splats, default=None)
-    could = f": {tried.splats:,} have {tried.quality.psnr:.1f} dB" if tried else ""
+    could = ""
+    if len(every) > 1:
+        work.reduce(len(every) - 1)
+        could = f": {len(work.splats):,} have {work.judge(work.splats).psnr:.1f} dB"
     raise SceneError(
         f"{output.path}: none of {len(every):,} splats can be spared at {psnr:g} dB{could}"
     )
 
 
-def _refitted(
-    work: Simplification, output: Output, psnr: float, seconds: float
-) -> tuple[Written, Quality] | None:
+def _refitted(work: Simplification, output: Output, psnr: float, seconds: float) -> Written | None:
     """Fewer splats, refitted until they have a PSNR; None where time or Ctrl-C ends that first."""
     for gain in GAINS:
         if psnr <= gain:
@@ -308,7 +339,7 @@ def _refitted(
         written = output.write(work.splats)
         quality = work.judge(written.splats)
         if quality.psnr >= psnr:
-            return written, quality
+            return written
         if not undisturbed:
             break
     return None

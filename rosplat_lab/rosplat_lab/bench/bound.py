@@ -1,0 +1,84 @@
+"""What `simplify` promises, and what views have that it never saw."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from rosplat_core.cameras import Camera, load_cameras, orbit, place
+from rosplat_core.scenes import ROOMS
+from rosplat_core.splats import Splats
+from rosplat_core.upright import find_up
+from rosplat_lab.bench import scenes
+from rosplat_lab.bench.isolation import isolated
+from rosplat_lab.bench.plan import Plan
+from rosplat_lab.bench.records import Doing, Event, Measurement
+
+BOUNDS, QUICK_BOUNDS = (35, 45, 55), (35,)  # [dB]
+SIZES, QUICK_SIZES = (20_000,), (3_000,)
+HELD = 64  # views that judge
+ELEVATIONS = (0.0, 0.3, 0.6, 0.9)  # of orbits around a scene [rad]
+
+
+def measure(plan: Plan) -> Iterator[Event]:
+    """PSNR, printed and in HELD other views of another kind: of most, of all, of the worst.
+
+    These are orbits that show the whole scene, or turns within rooms. Where a path is given, it is
+    of its odd cameras, and the even ones judge.
+    """
+    sizes = plan.sizes or (() if plan.scenes else QUICK_SIZES if plan.quick else SIZES)
+    path = load_cameras(plan.cameras) if plan.cameras else None
+    bounds = QUICK_BOUNDS if plan.quick else BOUNDS
+    for number, name in enumerate(names := scenes.names(sizes, plan.scenes)):
+        yield Doing(name, number / len(names))
+        yield from isolated(_scene, name, path, bounds)
+
+
+def _scene(name: str, path: list[Camera] | None, bounds: tuple[int, ...]) -> Iterator[Event]:
+    from rosplat_core.simplification.judging import Judge, Trial
+    from rosplat_core.simplification.search import Simplification
+
+    splats = scenes.load(name)
+    held = Judge(Trial(splats), path[::2][:HELD] if path else _held_back(name, splats))
+    for number, bound in enumerate(bounds):
+        yield Doing(f"{name}, {bound} dB", number / len(bounds))
+        began = time.process_time()
+        work = Simplification(splats, path=path[1::2] if path else None)
+        work.shrink(bound)
+        took = time.process_time() - began
+        work.look_anew()
+        for views, judge in (("printed", work.judge), ("held back", held)):
+            quality = judge(work.splats)
+            labels: dict[str, Any] = {
+                "scene": name, "splats": len(work.splats), "of": len(splats), "bound": bound,
+                "views": views, "judged in": len(judge),
+            }  # fmt: skip
+            yield Measurement.of("PSNR that most views reach", "dB", quality.psnr, **labels)
+            yield Measurement.of("PSNR", "dB", quality.mean, **labels)
+            yield Measurement.of("PSNR of the worst view", "dB", quality.worst, **labels)
+        yield Measurement.of(
+            "processor time", "s", took, scene=name, splats=len(work.splats), bound=bound
+        )
+
+
+def _held_back(name: str, splats: Splats) -> list[Camera]:
+    each = HELD // len(ELEVATIONS)
+    if name.startswith(ROOMS):
+        step = 2 * 360 // HELD
+        return [
+            camera
+            for motion in (scenes.room, scenes.eye_level)
+            for camera in motion(splats, 1280, 720, 360)[::step][: HELD // 2]
+        ]
+    here, up = place(splats), splats.up or find_up(splats)
+    half = np.full(3, here.radius / np.sqrt(3))
+    return [
+        camera
+        for turn, elevation in enumerate(ELEVATIONS)
+        for camera in orbit(
+            [here.centre - half, here.centre + half], each, elevation=elevation, azimuth=turn, up=up
+        )
+    ]
