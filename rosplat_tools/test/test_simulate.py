@@ -154,6 +154,22 @@ def test_time_can_stand_still_pass_in_steps_and_begin_anew(
     assert stage.seconds() < 1
 
 
+def test_a_reset_puts_the_robot_into_the_map_as_it_is_now(
+    stage: Stage, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    stage.hear(camera__image_raw=Image)
+    log = Log(start("simulate", OWN_CLOCK, **START))
+    before = from_image(stage.next("camera/image_raw"))
+    stage.map.replace(ROOMS[::4], expected_slots=len(ROOMS) // 2)
+    stage.listener.wait(lambda: log.has("cameras and lidar wait: "))
+    stage.map.upsert(range(len(ROOMS) // 4, len(ROOMS) // 2), ROOMS[1::4])
+    stage.listener.wait(lambda: (from_image(stage.next("camera/image_raw")) != before).any())
+    assert "as it is now" in stage.listener.call(Trigger, "simulate/reset").message
+    stage.listener.wait(lambda: sum("mobile stands at" in line for line in log.lines) == 2)
+    stage.next("camera/image_raw")
+    assert not log.has("Exception")
+
+
 def test_actuators_have_topics(stage: Stage, start: Callable[..., subprocess.Popen[str]]) -> None:
     stage.hear(joint_states=JointState)
     start("simulate", OWN_CLOCK, robot="arm", **START)

@@ -101,6 +101,7 @@ class Simulate(Node):
         self._ticks = self._steps = 0  # that have passed, that ~/step asks for
         self._velocity_until = 0.0  # simulated time [s]
         self._paused = self._broken = False
+        self._outdated = False  # whether the robot is to be put into the map anew
         self._reported = (0.0, 0.0)  # real and simulated time of the last report [s]
         self._problem = SaidOnce(self.get_logger().warning)
         self._time = self.create_publisher(Clock, "/clock", **overridable(QoSProfile(depth=10)))
@@ -154,6 +155,10 @@ class Simulate(Node):
         self._time.publish(Clock(clock=stamp))
         if self._ticks % STATES == 0:
             self._states.publish(stamp)
+        if problem := self._map.problem():
+            self._problem.say(f"cameras and lidar wait: {problem}")
+            return
+        self._problem.say(f"pictures lack bodies: {eye.problem}" if eye.problem else "")
         for sensor in self._sensors:
             if self._ticks % sensor.ticks == 0:
                 sensor.publish(stamp, robot, eye)
@@ -162,6 +167,8 @@ class Simulate(Node):
 
     def _stands(self) -> bool:
         """Whether the robot is in a whole map; puts it there once there is one."""
+        if self._outdated:  # dropped here: OpenGL's objects are this thread's
+            self._scene, self._outdated = None, False
         if self._scene:
             return True
         problem = self._map.problem()
@@ -188,7 +195,7 @@ class Simulate(Node):
             self._sensors = self._connect(robot)
         self._states.stand(robot, self._map.frame_id, pose)
         self._scene = _Scene(robot, eye, self._map.edits)
-        self._problem.say(f"pictures lack bodies: {eye.problem}" if eye.problem else "")
+        self._problem.say("")
         self.get_logger().info(
             f"{shown(self._file.stem)} stands at {x:.2f}, {y:.2f}, {ground:.2f} m among "
             f"{counted(standing.boxes, 'box', 'boxes')}, after {time.monotonic() - began:.1f} s"
@@ -256,7 +263,7 @@ class Simulate(Node):
             self._problem.say("")
             response.success, response.message = True, "begins anew"
             if self._map.edits != self._scene.edits:
-                self._scene = None
+                self._outdated = True
                 response.message = "begins anew in the map as it is now"
             else:
                 self._scene.robot.reset()
