@@ -237,31 +237,6 @@ def test_a_disc_on_edge_is_no_nan(host: Host) -> None:
     assert np.isfinite(host.draw(camera_at((3.0, 0.0, 0.0)))).all()
 
 
-def test_maps_of_all_models_are_sorted_together(host: Host) -> None:
-    maps = [replace(cloud(150, degree=0, seed=model), model=model) for model in Model]
-    host.show(maps[0])
-    others = [host.renderer.add_map() for _ in maps[1:]]
-    for other, splats in zip(others, maps[1:], strict=True):
-        insert_all(other, splats)
-    host.set(float_blending=True)
-    for camera in (CAMERAS["outside"], CAMERAS["inside"]):
-        together = [project(splats, camera) for splats in maps]
-        joined = Projected(
-            **{
-                name: np.concatenate([vars(of)[name] for of in together])
-                for name in vars(together[0])
-            }
-        )
-        nearest_first = joined[np.argsort(joined.depths, kind="stable")]
-        expected = blended(nearest_first, (0, 0, WIDTH, HEIGHT)).rgba
-        assert decibels(host.draw(camera), expected) >= 70
-    for other in others:
-        insert(other, maps[0][:0], slice(0, 0), 1)
-    host.set(model=Model.RAY)  # of all maps; one is left
-    expected = reference.render(replace(maps[0], model=Model.RAY), CAMERAS["outside"]).rgba
-    assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70
-
-
 def test_far_from_the_origin_nothing_is_lost(host: Host) -> None:
     offset = np.array([4.5e6, -1.2e6, 3.3e5])
     splats = cloud(300)
@@ -946,3 +921,29 @@ def test_slots_are_read_back_as_they_were_sent(host: Host) -> None:
     host.draw(CAMERAS["outside"])
     emptied, beyond = host.renderer.read_slots([65536, 10**6])
     assert emptied["opacity"] == beyond["opacity"] == 0
+
+
+# The last test: the renderer keeps the maps that this adds, and one order is of one map.
+def test_maps_of_all_models_are_sorted_together(host: Host) -> None:
+    maps = [replace(cloud(150, degree=0, seed=model), model=model) for model in Model]
+    host.show(maps[0])
+    others = [host.renderer.add_map() for _ in maps[1:]]
+    for other, splats in zip(others, maps[1:], strict=True):
+        insert_all(other, splats)
+    host.set(float_blending=True)
+    for camera in (CAMERAS["outside"], CAMERAS["inside"]):
+        together = [project(splats, camera) for splats in maps]
+        joined = Projected(
+            **{
+                name: np.concatenate([vars(of)[name] for of in together])
+                for name in vars(together[0])
+            }
+        )
+        nearest_first = joined[np.argsort(joined.depths, kind="stable")]
+        expected = blended(nearest_first, (0, 0, WIDTH, HEIGHT)).rgba
+        assert decibels(host.draw(camera), expected) >= 70
+    for other in others:
+        insert(other, maps[0][:0], slice(0, 0), 1)
+    host.set(model=Model.RAY)  # of all maps; one is left
+    expected = reference.render(replace(maps[0], model=Model.RAY), CAMERAS["outside"]).rgba
+    assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70

@@ -105,6 +105,7 @@ def test_displays_of_one_topic_share_the_publisher_that_one_of_them_starts(
     rviz_alone.load(configuration(*(map_display(n, topic=TOPIC, **of_scene) for n in names)))
     for name in names:
         rviz_alone.until_status(name, "Scene File", "Ok", f"{scene}: 1 splats", "loaded")
+    world.spin_until(lambda: publishers(world) > 0)
     infos = world.node.get_publishers_info_by_topic(TOPIC)
     assert len({info.node_name for info in infos}) == 1
 
@@ -129,7 +130,7 @@ def test_a_dropped_scene_is_opened_and_nothing_else(
     assert rviz_alone.properties("Map")["Scene File"] == str(scene)
     rviz_alone.until(lambda s: red(s).sum() > 3000)
     # Once more, changed: by the publisher that is there.
-    formats.save(scene, disc((0, 1, 0)))
+    formats.save(scene, disc((0, 1, 0)), overwrite=True)
     assert rviz_alone.ask("drop", file=str(scene))
     rviz_alone.until(lambda s: not red(s).any())
     world.spin_until(lambda: publishers(world) == 1)  # each map has a writer of its own

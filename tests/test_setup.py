@@ -124,7 +124,7 @@ def test_what_this_ros_lacks_is_left_out(checkout: Checkout) -> None:
 @pytest.mark.parametrize(
     ("package", "switch", "lacking"),
     [
-        ("rosplat_tools", "ROSPLAT_RCLCPP", "rclcpp"),
+        ("rosplat_ros", "ROSPLAT_RCLCPP", "rclcpp"),
         ("rosplat_lab", "ROSPLAT_DISPLAY", "rviz_common"),
         ("rviz_gaussian_plugin", "ROSPLAT_DISPLAY", "rviz_common"),
     ],

@@ -41,7 +41,7 @@ def scene(request: pytest.FixtureRequest, data_folder: Path, reference_folder: P
         operation=GaussianArray.REPLACE, expected_slots=len(splats),
     )  # fmt: skip
     scene_map = SplatMap()
-    scene_map.take(message)
+    scene_map.apply(message)
     orders = []
     for which in load_cameras(reference_folder / name / "cameras.json"):
         seen = view.SortView.of(view_cameras.decode(view_camera(which)), scene_map.frames)
