@@ -52,7 +52,7 @@ COMPARED = 12  # views that tell whether leaving out or merging makes the smalle
 UNSEEN = 0.03  # transmittance at which each splat counts as seen beside what views see of it
 CONTRAST = 0.09  # mean square difference that an unseen splat is taken to have from its background
 LEAST = 1e-30  # lower bound of errors in logarithms
-CLOSE = 0.01  # the search for the smallest map ends within this share of its splats
+CLOSE = 0.03  # the search for the smallest map ends within this share of what may be merged
 NEAR = 0.2  # or within this above the bound [dB]
 TELLING = 4  # views beside those that may miss a bound, which tell whether more have to be drawn
 LIKELY = 3  # one in so many views is drawn then, those that differed most the last time
@@ -303,7 +303,7 @@ class Simplification:
         aim = math.log10(max(10 ** (-(bound + NEAR / 2) / 10) - before, LEAST))
         good, bad, error = 0, len(pairs) + 1, before
         tries: list[tuple[float, float]] = []
-        while bad - good > max(1, CLOSE * len(self.splats)) or bad > len(pairs) > good:
+        while bad - good > max(1, CLOSE * bad) or bad > len(pairs) > good:
             count = int(np.searchsorted(costs, (aim - self._offset) / self._slope))
             count = min(max(count, good + 1), bad - 1)
             found = self._look(pairs, count, bound)
