@@ -79,7 +79,7 @@ def test_properties_survive_saving_and_loading(rviz: Rviz, world: World, tmp_pat
     fly = "{Class: rviz_gaussian_plugin/Fly}"
     rviz.load(configuration(map_display(), view=fly, panels=f"[{panel}]"))
     fresh = rviz.properties("Map")
-    assert set(fresh) - SUMS - ACTIONS == set(MAP), "the test's list of properties is not the Display's"
+    assert set(fresh) - SUMS - ACTIONS == set(MAP), "the test lists other properties"
     for name, value in MAP.items():
         assert fresh[name] != value
         rviz.set("Map", *name.split("/"), value=value)
