@@ -25,7 +25,11 @@ ARGUMENTS = {
     "up": ("", "The scene's vertical, such as '0 -1 0'; empty: the file's, or else by its ground"),
     "rate": ("10", "Pictures of a camera in a second"),
     "speed": ("1", "Simulated seconds in a second; 0: as many as can be"),
-    "frame_id": ("map", "Frame of the scene's coordinates"),
+    "frame_id": (
+        "",
+        "Frame of the scene as the file has it; by default 'scene', which stands "
+        "upright in the frame 'map' by a transform that is published, too",
+    ),
     "max_splats": ("2000000", "The most splats of a streamed scene"),
 }
 

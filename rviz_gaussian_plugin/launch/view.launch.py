@@ -79,13 +79,8 @@ def _programs(context: LaunchContext) -> list[GroupAction]:
     programs = [_rviz(given, is_true(given, "sensors"), is_true(given, "obstacles"))]
     # No publisher without a scene: beside it, displays don't hear a SLAM node's volatile one.
     if scene:
-        frame, upright = given["frame_id"] or "scene", "" if given["frame_id"] else "map"
-        programs.append(
-            publisher(
-                scene, frame, whole_number(given, "max_splats"), up=given["up"],
-                upright_frame=upright,
-            )
-        )  # fmt: skip
+        most = whole_number(given, "max_splats")
+        programs.append(publisher(scene, given["frame_id"], most, up=given["up"]))
     if is_true(given, "sorter"):
         programs.append(program("rosplat_sorter", "sorter", backend=given["backend"]))
     if is_true(given, "sensors"):

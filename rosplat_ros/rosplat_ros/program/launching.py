@@ -66,8 +66,13 @@ def program(package: str, executable: str, **parameters: object) -> Node:
 
 
 def publisher(scene: str, frame_id: str, max_splats: int, **parameters: object) -> Node:
-    """The node that publishes a scene. max_splats: the most of a streamed one."""
-    name, parameters = "ply_publisher", parameters | {"path": scene, "frame_id": frame_id}
+    """The node that publishes a scene. max_splats: the most of a streamed one.
+
+    frame_id: of the scene as the file has it; empty: `scene`, which stands upright in `map`.
+    """
+    upright = "" if frame_id else "map"
+    frames = {"frame_id": frame_id or "scene", "upright_frame": upright}
+    name, parameters = "ply_publisher", parameters | {"path": scene} | frames
     if scene.endswith("lod-meta.json"):
         name, parameters = "stream_publisher", parameters | {"max_splats": max_splats}
     return program("rosplat_tools", name, **parameters)
