@@ -2,8 +2,8 @@
 
 Synthetic views measure what each splat contributes. Splats that are missed least are left out, or
 merged with a neighbour. Other views check the PSNR against the whole scene, where that shows; those
-that miss the bound are learnt from, until 95 % of new views keep it. With a path of cameras, all of
-these views are along the path.
+that miss the bound are learnt from, until 95 % of new views keep it, three times at most. With a
+path of cameras, all of these views are along the path.
 """
 
 from __future__ import annotations
