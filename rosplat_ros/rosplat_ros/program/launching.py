@@ -70,9 +70,9 @@ def publisher(scene: str, frame_id: str, max_splats: int, **parameters: object) 
 
     frame_id: of the scene as the file has it; empty: `scene`, which stands upright in `map`.
     """
-    upright = "" if frame_id else "map"
-    frames = {"frame_id": frame_id or "scene", "upright_frame": upright}
-    name, parameters = "ply_publisher", parameters | {"path": scene} | frames
+    standing = {} if frame_id else {"upright_frame": "map"}
+    parameters |= {"path": scene, "frame_id": frame_id or "scene"} | standing
+    name = "ply_publisher"
     if scene.endswith("lod-meta.json"):
         name, parameters = "stream_publisher", parameters | {"max_splats": max_splats}
     return program("rosplat_tools", name, **parameters)
