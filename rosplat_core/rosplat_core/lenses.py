@@ -268,7 +268,8 @@ class Samples(NamedTuple):
     begins: NDArray[np.uint32]
     """Where those of each tile of TILE x TILE pixels begin, row by row of tiles, and the end."""
     x: NDArray[np.float32]
-    """(n,) and y (n,), where the centre of the top left pixel is (0.5, 0.5). [px]"""
+    """(n,) and y (n,), where the centre of the top left pixel is (0.5, 0.5); y ascends in a tile.
+    [px]"""
     y: NDArray[np.float32]
     axis: tuple[float, float, float] | None
     """The lens's axis in the pinhole camera's frame: splats count, and are ordered, by their depths
@@ -420,7 +421,7 @@ class Warp:
         across, down = -(-width // TILE), -(-height // TILE)
         column, row = ((places + 0.5) // TILE).astype(int).T
         tile = row * across + column
-        order = np.argsort(tile, kind="stable")
+        order = np.lexsort((places[:, 1], tile))  # in a tile by rows
         rays, depths, places, pixels = rays[order], depths[order], places[order], pixels[order]
         ends = np.cumsum(np.bincount(tile, minlength=across * down))
         centres = (places + 0.5).astype(np.float32)

@@ -60,6 +60,10 @@ void check(const PictureRequest& request, std::size_t tiles) {
   bool fits = samples.begins.size == tiles + 1 && samples.x.size == samples.y.size &&
               samples.begins[0] == 0 && samples.begins[tiles] == samples.x.size;
   for (std::size_t i = 0; fits && i < tiles; ++i) fits = samples.begins[i] <= samples.begins[i + 1];
+  for (std::size_t i = 0; fits && i < tiles; ++i) {  // by rows
+    const float* const y = samples.y.data;
+    fits = std::is_sorted(y + samples.begins[i], y + samples.begins[i + 1]);
+  }
   if (!fits) throw PictureError("samples do not fit the picture's tiles");
   for (const PictureLayer& layer : request.layers) {
     const Model model = layer.settings.drawnModel(layer.map->model);

@@ -806,12 +806,15 @@ constexpr std::size_t kPatience = 32;  // splats between tests whether a tile ha
 
 // Calls blend(sample, exponents, covered, depths) for each vector of samples.
 template <typename Blend>
-void atSamples(const TileSamples& samples, const Record& e, const RayShape& shape,
+void atSamples(const TileSamples& samples, int top, const Record& e, const RayShape& shape,
                const Blend& blend) {
+  // Boxes are those of the pixels whose centres a splat covers.
+  const int first = samples.rows[least(most(e.top - 1 - top, 0), kTile)];
+  const int last = samples.rows[least(most(e.bottom + 1 - top, 0), kTile)];
   const Floats peak = all(e.peak), depth = all(e.depth);
   const Floats end = all(e.share < 0.0f ? kBallEnd : kCutoffEnd);
   const Floats spot = all(kSpot * kHalfLog2 * kHalfLog2 / kSquared);
-  for (int i = 0; i < samples.count; i += kLanes) {
+  for (int i = first / kLanes * kLanes; i < last; i += kLanes) {
     const Floats x = load(samples.x + i), y = load(samples.y + i);
     const Floats dx = x - e.x, dy = y - e.y;
     const Floats u = fma(dx, all(e.ux), fma(dy, all(e.uy), all(shape.u)));
@@ -853,7 +856,7 @@ bool walk(const ListedTile& tile, const float* transmittance, const float* behin
     const Record& e = records[listed[k].record];
     const auto blend = blendOf(e);
     if (kConic && tile.samples.x) {
-      atSamples(tile.samples, e, tile.shapes[listed[k].record], blend);
+      atSamples(tile.samples, top, e, tile.shapes[listed[k].record], blend);
       continue;
     }
     const int first = most(e.top - top, 0), last = least(e.bottom - top, kTile);

@@ -132,7 +132,8 @@ struct Footprint {
 struct TileSamples {
   const float* x;  // [px]
   const float* y;
-  int count;
+  // Where those of each of the tile's rows of pixels begin, and the end.
+  const std::uint16_t* rows;
   bool half_lines;  // what a ray's line meets behind the camera doesn't count
 };
 

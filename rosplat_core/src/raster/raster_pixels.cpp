@@ -103,6 +103,7 @@ void CpuRasterizer::Work::blendSamples(const PictureRequest& request, SplatPictu
   const PictureSamples& samples = *request.samples;
   const bool deep = request.depth != PictureDepth::kNone;
   TilePixels& pixels = member.pixels;
+  const int top = int(number) / across * kTile;
   const std::size_t end = samples.begins[number + 1];
   for (std::size_t begin = samples.begins[number]; begin < end; begin += kTilePixels) {
     const std::size_t count = std::min<std::size_t>(end - begin, kTilePixels);
@@ -111,6 +112,12 @@ void CpuRasterizer::Work::blendSamples(const PictureRequest& request, SplatPictu
     std::fill_n(member.divided, kTilePixels, 0.0f);
     std::copy_n(samples.x.data + begin, count, member.opaque);
     std::copy_n(samples.y.data + begin, count, member.divided);
+    std::uint16_t rows[kTile + 1];
+    for (int row = 0, above = 0; row <= kTile; ++row) {
+      const auto y = float(top + row);
+      while (above < int(count) && (member.divided[above] < y || row == kTile)) ++above;
+      rows[row] = std::uint16_t(above);
+    }
     for (std::size_t i = 0; i < count; ++i) {
       const float* const rgba = &picture.colour[4 * (begin + i)];
       pixels.transmittance[i] = first ? 1 : 1 - rgba[3];
@@ -122,7 +129,8 @@ void CpuRasterizer::Work::blendSamples(const PictureRequest& request, SplatPictu
     tile.count = inTile(number);
     tile.records = records.get();
     tile.shapes = shapes.get();
-    tile.samples = {member.opaque, member.divided, int(count), !samples.axis};
+    tile.top = top;
+    tile.samples = {member.opaque, member.divided, rows, !samples.axis};
     tile.ends_at = ends_at;
     tile.pixels = &pixels;
     kernels.blend(tile, request.depth);

@@ -41,7 +41,7 @@ struct PictureLayer {
 // no seams.
 struct PictureSamples {
   ArrayView<std::uint32_t> begins;  // of each tile's samples, row by row of tiles, and the end
-  ArrayView<float> x, y;            // sorted by tile [px]
+  ArrayView<float> x, y;            // sorted by tile, and there by row of pixels [px]
   // The lens's own axis in the face's frame: depths along it decide on clips and order. Unset, for
   // a lens that sees behind itself: distances do, and what a ray's line meets behind the camera
   // doesn't count.
