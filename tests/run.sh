@@ -3,7 +3,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-$((RANDOM % 100 + 1))} # not into somebody's robot
-for package in rosplat_core rviz_gaussian_plugin; do
+for package in rosplat_core rosplat_ros rviz_gaussian_plugin; do
   ctest --test-dir ".ros/$ROSPLAT_ROS/build/$package" --parallel "$(nproc)" --output-on-failure -R '^test_.*' -L gtest
 done
 rviz=$(command -v rviz2 || true)

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from threading import Timer
 
 import pytest
 import rclpy
@@ -25,7 +26,7 @@ from rosplat_core import Camera, generate, load, look_at, save
 from rosplat_lab.driven_rviz import is_here
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import PullMap, RepeatMap
-from rosplat_ros import qos
+from rosplat_ros import MapPublisher, qos
 from rosplat_ros.view_cameras import view_camera
 from rosplat_testing import PATIENCE, Listener
 
@@ -66,10 +67,10 @@ print(len(publisher), slots[-1], *splats.channels)
 
 CMAKE = """
 cmake_minimum_required(VERSION 3.16)
-project(slam LANGUAGES CXX)
+project({name} LANGUAGES CXX)
 find_package(rosplat_ros REQUIRED)
-add_executable(slam slam.cpp)
-target_link_libraries(slam rosplat_ros::map_publisher)
+add_executable({name} {name}.cpp)
+target_link_libraries({name} rosplat_ros::{library})
 """
 
 # A lifecycle node in place of the plain one.
@@ -204,22 +205,30 @@ def test_a_body_and_a_map_in_one_picture(tmp_path: Path) -> None:
     assert run.stdout == " (360, 640, 3) uint8 (360, 640) float32 True\n", run.stderr
 
 
+def built(folder: Path, guide: Path, source: str, cmake: str) -> None:
+    """Builds a program in C++ as its guide says."""
+    linking = next(line for line in cmake.splitlines() if line.startswith("target_link"))
+    assert linking in " ".join(guide.read_text(encoding="utf-8").split())
+    name = linking.split("(")[1].split()[0]
+    (folder / f"{name}.cpp").write_text(source)
+    (folder / "CMakeLists.txt").write_text(cmake)
+    for command in (["cmake", "-S", ".", "-B", "."], ["cmake", "--build", "."]):
+        subprocess.run(command, cwd=folder, check=True, capture_output=True)
+
+
 @pytest.mark.parametrize("library", ["rclcpp", "rclcpp_lifecycle"])
 def test_cpp_publishes_a_map(library: str, tmp_path: Path, node: Node, listener: Listener) -> None:
     if library not in get_packages_with_prefixes():
         pytest.skip(f"no {library} here")
     guide = GUIDES / "publish.md"
-    (source,), cmake = blocks_of(guide, "cpp"), CMAKE
-    assert CMAKE.splitlines()[-1] in " ".join(guide.read_text(encoding="utf-8").split())
+    (source,) = blocks_of(guide, "cpp")
+    cmake = CMAKE.format(name="slam", library="map_publisher")
     if library == "rclcpp_lifecycle":
         cmake += CMAKE_OF_LIFECYCLE
         for plain, other in LIFECYCLE.items():
             assert plain in source
             source = source.replace(plain, other, 1)
-    (tmp_path / "slam.cpp").write_text(source)
-    (tmp_path / "CMakeLists.txt").write_text(cmake)
-    for command in (["cmake", "-S", ".", "-B", "."], ["cmake", "--build", "."]):
-        subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    built(tmp_path, guide, source, cmake)
     arguments = ["--ros-args", "-r", f"__ns:={node.get_namespace()}"]
     with subprocess.Popen([tmp_path / "slam", *arguments]) as slam:
         try:
@@ -236,6 +245,35 @@ def test_cpp_publishes_a_map(library: str, tmp_path: Path, node: Node, listener:
         finally:
             slam.send_signal(signal.SIGINT)
     assert slam.returncode == 0
+
+
+def test_cpp_receives_a_map(tmp_path: Path, node: Node) -> None:
+    """It pulls what was sent before it was there, and hears the rest."""
+    if "rclcpp" not in get_packages_with_prefixes():
+        pytest.skip("no rclcpp here")
+    guide = GUIDES / "receive.md"
+    (source,) = blocks_of(guide, "cpp")
+    built(tmp_path, guide, source, CMAKE.format(name="robot", library="map_receiver"))
+    splats = generate(400)
+    with MapPublisher(node, chunk_bytes=2000) as publisher:  # more batches than a newcomer hears
+        publisher.replace(splats)
+        arguments = ["--ros-args", "-r", f"__ns:={node.get_namespace()}"]
+        with subprocess.Popen([tmp_path / "robot", *arguments], stderr=subprocess.PIPE) as robot:
+            overdue = Timer(PATIENCE, robot.kill)
+            overdue.start()
+            assert robot.stderr
+            try:
+                said = iter(robot.stderr)
+                assert any(b" 400 splats" in line for line in said)
+                publisher.append(splats)
+                assert any(b" 800 splats" in line for line in said)
+                publisher.delete([3, 17, 99])
+                assert any(b" 797 splats" in line for line in said)
+            finally:
+                overdue.cancel()
+                robot.send_signal(signal.SIGINT)
+                robot.communicate()
+    assert robot.returncode == 0
 
 
 # --- The path of a ROS workspace ------------------------------------------------------------------

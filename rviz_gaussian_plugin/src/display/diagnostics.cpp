@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <fstream>
 
-#include "printable.hpp"
+#include "rosplat_core/map/printable.hpp"
 
 namespace rosplat {
 

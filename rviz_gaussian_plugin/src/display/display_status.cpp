@@ -51,9 +51,8 @@ StatusLine topicStatus(const GaussianClient::Status& received) {
   }
   if (received.batches == 0) {
     if (!received.other_type.empty()) {
-      return line(StatusProperty::Error,
-                  concat(received.topic, " is of type ", received.other_type,
-                         ": choose one of type ", GaussianClient::mapType()));
+      return line(StatusProperty::Error, concat(received.topic, " is of type ", received.other_type,
+                                                ": choose one of type ", MapReceiver::mapType()));
     }
     if (received.publishers.empty()) {
       return line(StatusProperty::Warn, "Nobody publishes on " + received.topic);

@@ -1,13 +1,11 @@
 #pragma once
 
-#include <array>
 #include <atomic>
 #include <memory>
 #include <mutex>
 #include <optional>
 #include <rclcpp/rclcpp.hpp>
 #include <rosplat_msgs/msg/gaussian.hpp>
-#include <rosplat_msgs/msg/gaussian_array.hpp>
 #include <rosplat_msgs/msg/splat_order.hpp>
 #include <rosplat_msgs/msg/view_camera.hpp>
 #include <rosplat_msgs/srv/render_view.hpp>
@@ -19,10 +17,8 @@
 
 #include "camera_trail.hpp"
 #include "fair_queue.hpp"
-#include "pull_client.hpp"
-#include "rosplat_core/map/map_pull.hpp"
-#include "rosplat_core/map/map_qos.hpp"
 #include "rosplat_core/order/order_slots.hpp"
+#include "rosplat_ros/map_receiver.hpp"
 #include "sidecar_switch.hpp"
 #include "splat_scene.hpp"
 
@@ -46,23 +42,12 @@ class GaussianClient {
   };
 
   // What has arrived.
-  struct Status {
-    std::string topic;     // of the map, as it is remapped
-    std::string frame_id;  // of the map
-    std::uint64_t batches = 0;
-    std::uint64_t refused = 0;            // batches that contradict themselves
-    std::string refusal;                  // of the last batch; empty if it was taken
-    std::string dropped_order;            // why the last order was dropped; empty if it wasn't
-    std::vector<std::string> publishers;  // nodes that publish on the map's topic
-    bool contended = false;               // a map came back after another had replaced it
-    std::string other_type;               // type that a publisher has instead of mapType()
-    std::string unheard;                  // a publisher's QoS that may be why no batch arrives
-    SidecarSwitch::Report sidecar;        // what became of switchBackend()
+  struct Status : MapReceiver::Report {
+    std::string frame_id;           // of the map
+    std::string unheard;            // a publisher's QoS that may be why no batch arrives
+    std::string dropped_order;      // why the last order was dropped; empty if it wasn't
+    SidecarSwitch::Report sidecar;  // what became of switchBackend()
   };
-
-  static const char* mapType();  // of the map's topic
-  // The QoS that publishers of maps offer: reliable, transient local, as deep as their history.
-  static rclcpp::QoS mapQos();
 
   // The scene must outlive the client. The subscription asks for less than qos where chooseMapQos()
   // says so. Throws rclcpp's exceptions for a topic with an invalid name.
@@ -95,9 +80,7 @@ class GaussianClient {
   std_msgs::msg::Header header() const;  // the map's frame, and the time now
 
  private:
-  using GaussianArray = rosplat_msgs::msg::GaussianArray;
   using SplatOrder = rosplat_msgs::msg::SplatOrder;
-  using Pull = MapPull<std::shared_ptr<const GaussianArray>>;
   static constexpr std::size_t kMostRequests = 64;  // waiting requests for pictures
 
   // Stops the executor within its scope: while messages arrive, rclcpp's executor (Jazzy) may miss
@@ -112,18 +95,7 @@ class GaussianClient {
   };
   void start();
   void stop();
-  void subscribe(const MapQos& qos);
-  void hear(std::shared_ptr<const GaussianArray> message);
-  void tick();
-  bool isFull() const;
-  void note(const std::string& map_id);
-  void act(Pull::Step step);
-  void send(const Pull::Request& request);
-  void takeAnswer(std::uint64_t number, std::shared_ptr<const PullClient::Response> response);
-  // Returns false if there was no memory for a batch.
-  bool take(const GaussianArray& message, Arrival arrival);
-  bool served() const { return pull_client_->service_is_ready(); }
-  void refuse(const std::string& why);
+  void apply(const MapReceiver::GaussianArray& message, Arrival arrival);
   void receive(SplatOrder& message);
   void dropOrder(const std::string& why);
   void watchPublishers();
@@ -134,27 +106,19 @@ class GaussianClient {
   std::string remapped_;                         // as ROS resolves it; prefix of the other topics
   SplatScene& scene_;
   rclcpp::CallbackGroup::SharedPtr group_;
-  double watched_ = 0;   // time of the last watch [s]
-  rclcpp::QoS wished_;   // that the user asked for
-  MapQos qos_;           // of the subscription
-  bool serves_ = false;  // pulls are answered, or were while there were publishers
-  std::atomic<bool> subscribe_anew_ = false;
-  rclcpp::Subscription<GaussianArray>::SharedPtr map_;
-  Pull pull_;
-  std::shared_ptr<PullClient> pull_client_;
+  double watched_ = 0;  // time of the last watch [s]
+  std::unique_ptr<MapReceiver> map_;
   rclcpp::Subscription<SplatOrder>::SharedPtr orders_;
   rclcpp::Publisher<rosplat_msgs::msg::ViewCamera>::SharedPtr view_publisher_;
   std::atomic<bool> views_followed_ = false;
   rclcpp::Publisher<rosplat_msgs::msg::Gaussian>::SharedPtr picked_publisher_;
   rclcpp::Service<RenderView>::SharedPtr render_service_;
-  rclcpp::TimerBase::SharedPtr pull_tick_;
   std::unique_ptr<CameraTrail> trail_;  // if poses are published
   std::unique_ptr<SidecarSwitch> sidecar_;
   OrderReader reader_;
 
-  mutable std::mutex mutex_;  // status_, requests_, views_
-  Status status_;
-  std::array<std::string, 2> maps_;  // ids of the newest map, and of the one before
+  mutable std::mutex mutex_;              // frame_id_, dropped_order_, requests_, views_
+  std::string frame_id_, dropped_order_;  // as Status has them
   FairQueue<std::string, RenderRequest> requests_{kMostRequests};
   std::set<std::string> views_;  // published and not forgotten: their orders are read
 

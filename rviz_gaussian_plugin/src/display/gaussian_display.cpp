@@ -27,7 +27,7 @@
 
 #include "frames.hpp"
 #include "messages.hpp"
-#include "printable.hpp"
+#include "rosplat_core/map/printable.hpp"
 
 namespace rosplat {
 
@@ -54,7 +54,7 @@ std::string uniqueName() {
 
 GaussianDisplay::GaussianDisplay() {
   topic_ = new rviz_common::properties::RosTopicProperty(
-      "Topic", "", GaussianClient::mapType(),
+      "Topic", "", MapReceiver::mapType(),
       "Map of 3D Gaussians (rosplat_msgs/GaussianArray). The display publishes its cameras on "
       "<topic>/view and selected splats on <topic>/picked, and takes orders from <topic>/order.",
       this, SLOT(subscribe()));

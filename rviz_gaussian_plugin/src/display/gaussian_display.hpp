@@ -71,7 +71,7 @@ class GaussianDisplay : public rviz_common::Display {
 
   rviz_common::properties::RosTopicProperty* topic_;
   rviz_common::properties::QosProfileProperty* qos_property_;
-  rclcpp::QoS qos_ = GaussianClient::mapQos();
+  rclcpp::QoS qos_ = mapQos();
   rviz_common::properties::FilePickerProperty* scene_file_;
   rviz_common::properties::EnumProperty* backend_;
   rviz_common::properties::BoolProperty* fit_view_;  // checked until the view is fitted

@@ -1,13 +1,11 @@
 #pragma once
 
 #include <rosplat_msgs/msg/gaussian.hpp>
-#include <rosplat_msgs/msg/gaussian_array.hpp>
 #include <rosplat_msgs/msg/splat_order.hpp>
 #include <rosplat_msgs/msg/view_camera.hpp>
 #include <std_msgs/msg/header.hpp>
 #include <string>
 
-#include "rosplat_core/map/gaussian_batch.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/order/order.hpp"
 #include "rosplat_core/order/order_slots.hpp"
@@ -15,9 +13,6 @@
 
 // Conversions between the renderer's own types and ROS messages.
 namespace rosplat {
-
-// A batch that points into the message, which must outlive it.
-GaussianBatch toBatch(const rosplat_msgs::msg::GaussianArray& message);
 
 // Fills an order. Takes its slots, `most` at most, from the message or from the shared memory that
 // the message names. Throws OrderError.

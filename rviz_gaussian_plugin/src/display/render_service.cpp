@@ -10,7 +10,7 @@
 
 #include "frames.hpp"
 #include "messages.hpp"
-#include "printable.hpp"
+#include "rosplat_core/map/printable.hpp"
 
 namespace rosplat {
 

@@ -1,6 +1,6 @@
 #include <gtest/gtest.h>
 
-#include "../src/display/printable.hpp"
+#include "rosplat_core/map/printable.hpp"
 
 namespace rosplat {
 

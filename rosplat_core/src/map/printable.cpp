@@ -1,4 +1,4 @@
-#include "printable.hpp"
+#include "rosplat_core/map/printable.hpp"
 
 namespace rosplat {
 

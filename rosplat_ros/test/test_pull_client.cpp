@@ -7,7 +7,7 @@
 #include <set>
 #include <string>
 
-#include "../src/display/pull_client.hpp"
+#include "../src/pull_client.hpp"
 
 namespace rosplat {
 
@@ -46,7 +46,8 @@ class PullClientTest : public testing::Test {
       : node_(std::make_shared<rclcpp::Node>("receiver")),
         group_(node_->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive, false)),
         client_(PullClient::make(
-            *node_, "/pulled", group_,
+            *node_->get_node_base_interface(), node_->get_node_graph_interface(),
+            *node_->get_node_services_interface(), "/pulled", group_,
             [this](std::uint64_t number, std::shared_ptr<const PullMap::Response> response) {
               heard_.insert(std::to_string(number) + response->batches.front().map_id);
             })) {

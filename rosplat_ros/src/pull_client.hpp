@@ -18,17 +18,19 @@ class PullClient : public rclcpp::Client<rosplat_msgs::srv::PullMap> {
   // Takes the number of a request, and an answer to it.
   using Hear = std::function<void(std::uint64_t, std::shared_ptr<const Response>)>;
 
-  PullClient(rclcpp::Node& node, const std::string& service, rcl_client_options_t options,
-             Hear hear)
-      : Client(node.get_node_base_interface().get(), node.get_node_graph_interface(), service,
-               options),
-        hear_(std::move(hear)) {}
+  PullClient(rclcpp::node_interfaces::NodeBaseInterface& node,
+             rclcpp::node_interfaces::NodeGraphInterface::SharedPtr graph,
+             const std::string& service, rcl_client_options_t options, Hear hear)
+      : Client(&node, std::move(graph), service, options), hear_(std::move(hear)) {}
 
-  static std::shared_ptr<PullClient> make(rclcpp::Node& node, const std::string& service,
-                                          rclcpp::CallbackGroup::SharedPtr group, Hear hear) {
-    auto client = std::make_shared<PullClient>(node, service, rcl_client_get_default_options(),
-                                               std::move(hear));
-    node.get_node_services_interface()->add_client(client, std::move(group));
+  static std::shared_ptr<PullClient> make(
+      rclcpp::node_interfaces::NodeBaseInterface& node,
+      rclcpp::node_interfaces::NodeGraphInterface::SharedPtr graph,
+      rclcpp::node_interfaces::NodeServicesInterface& services, const std::string& service,
+      rclcpp::CallbackGroup::SharedPtr group, Hear hear) {
+    auto client = std::make_shared<PullClient>(node, std::move(graph), service,
+                                               rcl_client_get_default_options(), std::move(hear));
+    services.add_client(client, std::move(group));
     return client;
   }
 
