@@ -12,11 +12,13 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import pytest
 import rclpy
+from ament_index_python.packages import get_packages_with_prefixes
 from numpy.typing import NDArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -199,6 +201,57 @@ class Deaf(MapReceiver):
 
 class DeafInPython(InPython):
     kind = Deaf
+
+
+CMAKE = """
+cmake_minimum_required(VERSION 3.16)
+project(receiver LANGUAGES CXX)
+find_package(rosplat_ros REQUIRED)
+add_executable(receiver {source})
+target_link_libraries(receiver rosplat_ros::map_receiver)
+"""
+
+
+class InCpp:
+    """MapReceiver for C++, in the program receiver.cpp."""
+
+    program: ClassVar[Path]  # once it is built
+
+    def __init__(self, namespace: str) -> None:
+        self._busy = False
+        self._process = subprocess.Popen(
+            [self.program, "--ros-args", "-r", f"__ns:={namespace}"],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,
+        )  # fmt: skip
+
+    def _tell(self, *words: object) -> None:
+        assert self._process.stdin
+        print(*words, file=self._process.stdin)
+
+    def _ask(self, *slots: int) -> tuple[str, ...]:
+        assert self._process.stdout
+        self._tell("state", *slots)
+        return tuple(self._process.stdout.readline().split())
+
+    @property
+    def busy(self) -> bool:
+        return self._busy
+
+    @busy.setter
+    def busy(self, busy: bool) -> None:
+        self._busy = busy
+        self._tell("busy", int(busy))
+
+    def state(self) -> tuple[str, int, int, bool]:
+        map_id, revision, missed, pulled = self._ask()
+        return map_id, int(revision), int(missed), pulled == "1"
+
+    def in_use(self, slots: NDArray[np.int64]) -> list[bool]:
+        return [used == "1" for used in self._ask(*slots.tolist())[4:]]
+
+    def close(self) -> None:
+        self._process.communicate(timeout=PATIENCE)
+        assert self._process.returncode == 0
 
 
 @dataclass
@@ -411,7 +464,9 @@ CIRCUMSTANCES = (
     a_neighbour_that_was_killed,
     a_neighbour_that_hangs,
 )
-CASES = [(InPython, circumstance) for circumstance in CIRCUMSTANCES]
+CASES: list[tuple[type[Receiver], Callable[[Stage], None]]] = [
+    (kind, circumstance) for kind in (InPython, InCpp) for circumstance in CIRCUMSTANCES
+]
 CASES.append((DeafInPython, missed_batches_that_the_history_holds))
 
 
@@ -420,13 +475,31 @@ def namespace() -> Iterator[str]:
     yield f"/test_{uuid.uuid4().hex}"
 
 
+@pytest.fixture(scope="session")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The program receiver.cpp."""
+    if "rclcpp" not in get_packages_with_prefixes():
+        pytest.skip("no rclcpp here: MapReceiver for C++ is not tested")
+    folder = tmp_path_factory.mktemp("receiver")
+    source = Path(__file__).with_name("receiver.cpp")
+    (folder / "CMakeLists.txt").write_text(CMAKE.format(source=source))
+    for command in (["cmake", "-S", ".", "-B", "."], ["cmake", "--build", "."]):
+        subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    return folder / "receiver"
+
+
 @pytest.mark.parametrize(
     ("kind", "circumstance"),
     [pytest.param(*case, id=f"{case[0].__name__}-{case[1].__name__}") for case in CASES],
 )
 def test_receivers_come_to_the_publisher_s_map(
-    kind: Callable[[str], Receiver], circumstance: Callable[[Stage], None], namespace: str
+    kind: type[Receiver],
+    circumstance: Callable[[Stage], None],
+    namespace: str,
+    request: pytest.FixtureRequest,
 ) -> None:
+    if kind is InCpp:
+        InCpp.program = request.getfixturevalue("program")
     stage = Stage(namespace, kind)
     try:
         circumstance(stage)
