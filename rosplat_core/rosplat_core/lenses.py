@@ -275,6 +275,18 @@ class Samples(NamedTuple):
     """The lens's axis in the pinhole camera's frame: splats count, and are ordered, by their depths
     along it. None, for a lens that sees behind itself: by their distances."""
 
+    @classmethod
+    def of(
+        cls, places: Array, width: int, height: int, axis: tuple[float, float, float] | None
+    ) -> tuple[NDArray[np.intp], Samples]:
+        """Samples at places (n, 2) in a picture [px], and which place each of them is at (n,)."""
+        across, down = -(-width // TILE), -(-height // TILE)
+        x, y = places.astype(np.float32).T
+        tile = (y // TILE).astype(int) * across + (x // TILE).astype(int)
+        order = np.lexsort((y, tile))
+        ends = np.cumsum(np.bincount(tile, minlength=across * down))
+        return order, cls(np.append(0, ends).astype(np.uint32), x[order], y[order], axis)
+
 
 @dataclass(frozen=True, eq=False)
 class _Part:
@@ -418,19 +430,10 @@ class Warp:
         if max(width, height) > LONGEST_SIDE:
             raise LensError(f"d: the lens needs a picture of {width} x {height} pixels")
         places = places - low
-        across, down = -(-width // TILE), -(-height // TILE)
-        column, row = ((places + 0.5) // TILE).astype(int).T
-        tile = row * across + column
-        order = np.lexsort((places[:, 1], tile))  # in a tile by rows
+        x, y, z = rotation[:, 2].tolist()
+        axis = (x, y, z) if self._ahead else None
+        order, samples = Samples.of(places + 0.5, width, height, axis)
         rays, depths, places, pixels = rays[order], depths[order], places[order], pixels[order]
-        ends = np.cumsum(np.bincount(tile, minlength=across * down))
-        centres = (places + 0.5).astype(np.float32)
-        samples = Samples(
-            np.append(0, ends).astype(np.uint32),
-            centres[:, 0],
-            centres[:, 1],
-            tuple(rotation[:, 2].tolist()) if self._ahead else None,
-        )
         pose = np.eye(4)
         pose[:3, :3] = rotation
         left, top = (0.5 - low).tolist()

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
+from rosplat_core.lenses import Samples
 from rosplat_core.models import Model
 from rosplat_core.rendering import CpuRenderer, posed
 
 Array = NDArray[np.float64]
 
-TILE = 16  # of the rasteriser [px]
-FOCAL = 128.0  # of a face: its tiles, 7 degrees wide, decide how many splats a ray tries [px]
+FOCAL = 128.0  # of a face: tiles, 7 degrees wide, decide how many splats a ray tries [px]
 AXES = np.concatenate([np.eye(3), -np.eye(3)])  # of faces
 NEAREST = 0.01  # depth of a splat on a face [m]
 
@@ -106,9 +106,7 @@ class _Face:
 
     camera: Camera  # its world is the lidar's frame
     rays: NDArray[np.intp]  # their numbers, tile by tile
-    samples: tuple[
-        NDArray[np.uint32], NDArray[np.float32], NDArray[np.float32], tuple[float, float, float]
-    ]
+    samples: Samples
     lengths: NDArray[np.float32]  # of rays whose depth on the face is 1
 
     @classmethod
@@ -120,18 +118,12 @@ class _Face:
         places = FOCAL * turned[:, :2] / turned[:, 2:]
         low = np.floor(places.min(axis=0)) - 1
         width, height = (np.ceil(places.max(axis=0)) + 1 - low).astype(int).tolist()
-        places = (places - low).astype(np.float32)
-        across, down = -(-width // TILE), -(-height // TILE)
-        column, row = (places // TILE).astype(int).T
-        tile = row * across + column
-        order = np.argsort(tile, kind="stable")
-        ends = np.cumsum(np.bincount(tile, minlength=across * down))
-        x, y = np.ascontiguousarray(places[order].T)
+        order, samples = Samples.of(places - low, width, height, (0.0, 0.0, 1.0))
         left, top = (-low).tolist()
         return cls(
             Camera(0, width, height, FOCAL, FOCAL, left, top, to_face, near=NEAREST, far=farthest),
             numbers[order],
-            (np.append(0, ends).astype(np.uint32), x, y, (0.0, 0.0, 1.0)),
+            samples,
             (1 / turned[order, 2]).astype(np.float32),
         )  # fmt: skip
 
