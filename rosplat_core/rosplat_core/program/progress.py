@@ -31,8 +31,8 @@ def watched_tasks() -> Iterator[Callable[[str, float], None]]:
             nonlocal doing
             if what != doing:
                 doing = what
-                shown.reset()
-            shown.set_description_str(what, refresh=False)
+                shown.set_description_str(what, refresh=False)
+                shown.reset()  # begins anew, and draws
             shown.update(part - shown.n)
 
         yield tell

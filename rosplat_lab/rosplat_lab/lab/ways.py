@@ -108,12 +108,19 @@ def ways(splats: Splats, card: bool, quick: bool) -> Iterator[Way]:
         for part in (2, 4):
             setting = f"simplify SPLATS={counted(count // part)}"
             yield Way(setting, "simplify", map=f"1/{part}")
+            if not refits(splats):
+                continue
             yield Way(f"{setting} REFINE={minutes:g}", "simplify", map=f"1/{part} refitted")
     if card:
         for name in RENDERERS:
             if name != "cpu":
                 yield Way(name, "other renderers", by=name)
     yield Way("RVizSplat 1.0.0", "other renderers", aside=MODEL, model=viewers.rvizsplat)
+
+
+def refits(splats: Splats) -> bool:
+    """Whether simplify can refine the map: a refit draws by EWA."""
+    return splats.model in (Model.EWA, Model.EWA_ANTIALIASED)
 
 
 def maps(splats: Splats, quick: bool) -> Iterator[tuple[str, Splats]]:
@@ -127,6 +134,8 @@ def maps(splats: Splats, quick: bool) -> Iterator[tuple[str, Splats]]:
         work.reduce(len(splats) // part)
         merged = work.splats
         yield f"1/{part}", merged
+        if not refits(splats):
+            continue
         work.refine(60 * (QUICK_REFIT_MINUTES if quick else REFIT_MINUTES))
         yield f"1/{part} refitted", work.splats
         work.splats = merged
