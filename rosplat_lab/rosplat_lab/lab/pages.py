@@ -100,8 +100,9 @@ def _run(records: Sequence[Record], name: str) -> str:
     """Where and when, and the file of DOCS/results/lab."""
     first = records[0]
     load = max(record.load for record in records)
+    commits = ", ".join(dict.fromkeys(record.commit for record in records))
     return (
-        f"{where(records)} (`{first.command}`, commit {first.commit}, {first.time[:10]}, "
+        f"{where(records)} (`{first.command}`, commit {commits}, {first.time[:10]}, "
         f"load up to {load:.1f}, [record]({KEPT}/{name}.json))."
     )
 
