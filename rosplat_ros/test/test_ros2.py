@@ -46,6 +46,8 @@ def test_topics_nodes_and_parameters_are_told() -> None:
         assert "How large it is. [m]" in said("param", "describe", "told", "size")
         assert "has no parameter" in said("param", "get", "told", "none")
         echoed = said("topic", "echo", "--once", "/numbers")
+        if "nobody publishes" in echoed:  # a loaded machine discovers slowly
+            echoed = said("topic", "echo", "--once", "/numbers")
         assert "data: <20 elements>" in echoed
         assert echoed.rstrip().endswith("---")
     assert "nobody publishes /silence" in said("topic", "echo", "/silence")

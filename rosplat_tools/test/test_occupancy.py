@@ -208,6 +208,8 @@ def test_edits_are_in_the_next_grid(start: Start, node: Node, listener: Any) -> 
     assert grid.count == count
     publisher.replace(floor()[:0])
     listener.wait(lambda: grid.cells().tolist() == [[-1]])
+    until = time.monotonic() + 1  # the log follows the grid
+    listener.wait(lambda: time.monotonic() > until)
     assert "no cell is free: at the start, (0, 0)" in ended(process)
 
 
