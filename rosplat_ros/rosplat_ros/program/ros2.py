@@ -18,8 +18,8 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosplat_core.program.output import say
 from rosplat_ros.program.processes import ProcessError, node_command
 
-DISCOVERY = 1.5  # [s]
-PATIENCE = 5.0  # for the answer of a node [s]
+SETTLED = 1.5  # the graph is known once it stayed the same for so long [s]
+PATIENCE = 5.0  # for the first other node, and for a node's answer [s]
 VALUES = {
     ParameterType.PARAMETER_BOOL: "bool_value",
     ParameterType.PARAMETER_INTEGER: "integer_value",
@@ -35,6 +35,25 @@ VALUES = {
 
 class CommandError(RuntimeError):
     """What a user asked for that there isn't; the text says what."""
+
+
+def discover(node: Node) -> None:
+    """Waits until there are other nodes and the graph stays the same, for PATIENCE at most."""
+    known: set[str] = set()
+    since = time.monotonic()
+    end = since + PATIENCE
+    while time.monotonic() < min(end, since + SETTLED):
+        time.sleep(0.1)
+        others = _nodes(node)
+        found = others | {name for name, _ in node.get_topic_names_and_types()}
+        if found != known or not others:
+            known, since = found, time.monotonic()
+
+
+def _nodes(node: Node) -> set[str]:
+    """The full names of all other nodes."""
+    found = {f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()}
+    return found - {node.get_fully_qualified_name()}
 
 
 def run_program(options: argparse.Namespace) -> None:
@@ -58,8 +77,7 @@ def list_topics(node: Node, options: argparse.Namespace) -> None:
 
 def list_nodes(node: Node, options: argparse.Namespace) -> None:
     """Prints the full names of nodes."""
-    found = {f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()}
-    for name in sorted(found - {node.get_fully_qualified_name()}):
+    for name in sorted(_nodes(node)):
         if options.all or not name.rpartition("/")[2].startswith("_"):
             say(name)
 
@@ -194,7 +212,7 @@ def main(arguments: list[str] | None = None) -> int:
             run_program(options)
         rclpy.init(args=[])
         node = rclpy.create_node(f"_ros2_{os.getpid()}")
-        time.sleep(DISCOVERY)
+        discover(node)
         options.work(node, options)
     except CommandError as error:
         print(f"ros2: {error}", file=sys.stderr)
