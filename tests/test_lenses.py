@@ -255,7 +255,8 @@ def test_cameras_of_a_pinhole_lens_are_the_lens() -> None:
 
 @pytest.mark.parametrize("model", LENSES)
 def test_a_straightened_picture_is_that_of_a_pinhole_camera(model: str) -> None:
-    renderer = CpuRenderer(generate(5000, seed=1))
+    # Along rays: ellipses have other shapes in a fisheye's picture than in a pinhole's.
+    renderer = CpuRenderer(replace(generate(5000, seed=1), model=Model.RAY))
     lens = LENSES[model]
     counts = Warp(lens).met.copy()
     counts[:20] = False
@@ -306,3 +307,38 @@ def test_only_rays_and_discs_are_drawn_by_samples() -> None:
     camera = posed(warp.cameras(np.eye(4), 0.01, 1e3)[0])
     with pytest.raises(RuntimeError, match="only Ray and Disc are drawn by samples, not EWA"):
         CpuRenderer(cloud()).draw(camera, samples=warp.samples[0])
+
+
+@pytest.mark.parametrize("model", [Model.EWA, Model.EWA_ANTIALIASED])
+@pytest.mark.parametrize(
+    "lens",
+    [FISHEYE, BEHIND, replace(LENSES["equidistant"], cx=100.2, cy=180.7)],
+    ids=["fisheye", "behind", "off-centre"],
+)
+def test_ellipses_are_projected_by_the_lens(lens: Lens, model: Model) -> None:
+    """Against the reference, which differentiates the lens itself."""
+    splats = cloud(model)
+    warp = Warp(lens)
+    behind = lens is BEHIND
+    eye = np.eye(4) if behind else EYE  # from within, splats are all around
+    picture = take_picture(CpuRenderer(splats), warp, eye, depth="expected")
+    camera = warp.camera(eye, 0.01, 1e10)
+    expected = reference.render(splats, camera, lens=lens, by_distance=behind)
+    colour = np.where(warp.met[..., None], expected.rgba[..., :3], 0)
+    assert decibels(picture.colour, colour) >= 75
+    assert expected.rgba[..., 3].max() > 0.5  # there was something to see
+    assert picture.depth is not None
+    solid = (expected.rgba[..., 3] > 0.51) & (expected.depth > 0.01) & warp.met
+    close = np.isclose(picture.depth[solid], expected.depth[solid], rtol=1e-3, atol=1e-3)
+    assert close.mean() > 0.998
+    assert not np.isfinite(picture.depth[expected.rgba[..., 3] < 0.49]).any()
+
+
+def test_a_lens_is_drawn_by_its_own_picture_or_not_at_all() -> None:
+    assert Warp(FISHEYE).curve and not Warp(LENSES["plumb_bob"]).curve
+    assert not Warp(replace(FISHEYE, fx=12.0, fy=12.0)).curve  # all around: as faces of a cube
+    camera, curve = posed(Warp(FISHEYE).camera(np.eye(4), 0.01, 1e3)), Warp(FISHEYE).curve
+    with pytest.raises(RuntimeError, match="only EWA is drawn by a lens's curve, not Ray"):
+        CpuRenderer(cloud(Model.RAY)).draw(camera, lens=curve)
+    with pytest.raises(ValueError, match="a picture has one of samples, lens and scene_depth"):
+        CpuRenderer(cloud()).draw(camera, lens=curve, scene_depth=np.ones((64, 64), np.float32))

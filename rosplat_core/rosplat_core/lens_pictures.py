@@ -56,24 +56,39 @@ def take_picture(
     """
     if depth not in ("", *DEPTHS):
         raise ValueError(f"depth is '{depth}', expected one of {', '.join(DEPTHS)}")
-    cameras = warp.cameras(world_to_lens, near, far)
-    by_rays = bool(warp.samples) and renderer.model in (Model.RAY, Model.DISC)
     wanted = {"median_depth": depth == MEDIAN, "mean_depth": depth == EXPECTED}
-    if by_rays:
-        picture = _by_rays(renderer, warp, cameras, wanted, normals)
-        if picture.normals is None:
-            return picture
-        return replace(picture, normals=picture.normals @ world_to_lens[:3, :3].T.astype("f4"))
-    drawn = [renderer.draw(posed(camera), **wanted) for camera in cameras]
+    by_rays = renderer.model in (Model.RAY, Model.DISC)
+    if warp.curve and not by_rays:
+        camera = warp.camera(world_to_lens, near, far)
+        picture = _by_curve(renderer, warp, camera, wanted, normals)
+    else:
+        take = _by_rays if by_rays and warp.samples else _warped
+        picture = take(renderer, warp, warp.cameras(world_to_lens, near, far), wanted, normals)
+    if picture.normals is None:
+        return picture
+    return replace(picture, normals=picture.normals @ world_to_lens[:3, :3].T.astype("f4"))
+
+
+def _warped(
+    renderer: CpuRenderer,
+    warp: Warp,
+    cameras: list[Camera],
+    wanted: dict[str, bool],
+    normals: bool,
+) -> LensPicture:
+    """As take_picture, from pictures of pinhole cameras; normals in the map's frame."""
+
+    def draw(**wanted: bool) -> list[dict[str, Any]]:
+        return [renderer.draw(posed(camera), **wanted) for camera in cameras]
+
+    drawn = draw(**wanted)
     colour = warp.colour([each["colour"][..., :3] for each in drawn])
-    depths = warp.depth([_depth(each) for each in drawn]) if depth else None
+    depth = warp.depth([_depth(each) for each in drawn]) if any(wanted.values()) else None
     facing = None
     if normals:
-        facing = warp.nearest(_in_mode(renderer, DrawMode.NORMALS, lambda: [
-            _normals(renderer.draw(posed(camera))["colour"]) for camera in cameras
-        ]))  # fmt: skip
-        facing = facing @ world_to_lens[:3, :3].T.astype(np.float32)
-    return LensPicture(colour, depths, facing)
+        pictures = _in_mode(renderer, DrawMode.NORMALS, draw)
+        facing = warp.nearest([_normals(each["colour"]) for each in pictures])
+    return LensPicture(colour, depth, facing)
 
 
 def _by_rays(
@@ -83,7 +98,7 @@ def _by_rays(
     wanted: dict[str, bool],
     normals: bool,
 ) -> LensPicture:
-    """As take_picture, each pixel along its own ray."""
+    """As _warped, but each pixel along its own ray."""
 
     def draw(**wanted: bool) -> list[dict[str, Any]]:
         return [
@@ -101,6 +116,26 @@ def _by_rays(
     if normals:
         pictures = _in_mode(renderer, DrawMode.NORMALS, draw)
         facing = warp.placed([_normals(each["colour"]) for each in pictures], np.nan)
+    return LensPicture(colour, depth, facing)
+
+
+def _by_curve(
+    renderer: CpuRenderer, warp: Warp, camera: Camera, wanted: dict[str, bool], normals: bool
+) -> LensPicture:
+    """As _warped, but each splat is projected by the lens."""
+
+    def draw(**wanted: bool) -> dict[str, Any]:
+        return renderer.draw(posed(camera), lens=warp.curve, **wanted)
+
+    drawn = draw(**wanted)
+    colour = np.where(warp.met[..., None], drawn["colour"][..., :3], np.float32(0))
+    depth = facing = None
+    if any(wanted.values()):
+        depth = _depth(drawn)
+        depth[~(warp.met & (depth > 0))] = np.nan
+    if normals:
+        facing = _normals(_in_mode(renderer, DrawMode.NORMALS, draw)["colour"])
+        facing[~warp.met] = np.nan
     return LensPicture(colour, depth, facing)
 
 

@@ -36,6 +36,8 @@ TOLERANCE = 1e-4  # between a pixel and the projection of the ray found for it [
 TILE = 16  # as the rasteriser's [px]
 BEHIND = math.sin(math.radians(4))  # how far behind itself a lens may see that looks ahead
 MARGIN = 3  # around the part of a pinhole picture that is warped, for the filter's taps [px]
+PARTS = 4096  # of a lens's curve
+ROUNDEST = math.radians(160)  # off the axis; beyond, a lens stretches splats too much for a curve
 
 
 class LensError(ValueError):
@@ -142,6 +144,16 @@ class Lens:
         miss = np.abs(self.project(rays) - pixels).max(axis=-1)
         rays[~(miss < TOLERANCE)] = np.nan
         return rays
+
+    @property
+    def most_angle(self) -> float:
+        """The angle off the axis up to which an equidistant lens images rays. [rad]"""
+        return float(self._reach[0][-1])
+
+    def radius(self, angles: Array) -> Array:
+        """How far from the principal point, in focal lengths, an equidistant lens images angles off
+        its axis. [rad]"""
+        return self._profile(angles)
 
     # --- Polynomials of the radius: a ray's tangent; of equidistant lenses, its angle -------------
 
@@ -262,6 +274,42 @@ _FACES = (  # the axes right, down, forward of each face of a cube around the ca
 )
 
 
+class Curve(NamedTuple):
+    """An equidistant lens for EWA, which projects each splat by the lens's own Jacobian.
+
+    A direction n of length 1 is imaged at the principal point + g (fx n_x, fy n_y), where g depends
+    on w = (1 - n_z) / 2 alone: 0 ahead, 1 behind.
+    """
+
+    cubics: NDArray[np.float32]
+    """(PARTS, 4) g in equal parts of w from 0 to end: coefficients of 1, t, t^2, t^3 for t of 0 to
+    1 in a part."""
+    end: float
+    """Of w. Splats beyond are not drawn."""
+    widest: float
+    """w of the pixel that is farthest from the axis."""
+    by_distance: bool
+    """Splats count, and are ordered, by their distances, not by their depths along the axis."""
+
+    @classmethod
+    def of(cls, lens: Lens, rays: Array, *, by_distance: bool) -> Curve | None:
+        """The curve of a lens whose pixels have these rays (n, 3); None if it has none."""
+        if lens.model != EQUIDISTANT:
+            return None
+        lengths = np.linalg.norm(rays, axis=1)
+        angle = float(np.arccos(np.clip((rays[:, 2] / lengths).min(), -1, 1)))
+        if angle > ROUNDEST:
+            return None
+        end = math.sin(min(lens.most_angle, (ROUNDEST + math.pi) / 2) / 2) ** 2
+        # The cubic through four points of each part, those at its ends shared with the next one.
+        steps = np.arange(4) / 3
+        places = (np.arange(PARTS)[:, None] + steps) / PARTS * end
+        angles = 2 * np.arcsin(np.sqrt(np.maximum(places, 1e-12)))
+        values = lens.radius(angles) / np.sin(angles)
+        cubics = values @ np.linalg.inv(steps[:, None] ** np.arange(4)).T
+        return cls(cubics.astype(np.float32), end, math.sin(angle / 2) ** 2, by_distance)
+
+
 class Samples(NamedTuple):
     """The n pixels of a part of the lens's picture, as places in the pinhole picture."""
 
@@ -294,10 +342,15 @@ class _Part:
 
     camera: Camera  # its world is the lens's optical frame
     pixels: NDArray[np.intp]  # (n,) flat indices in the lens's picture
-    taps: csr_matrix  # (n, pixels of the pinhole picture) weights for resampling
+    places: Array  # (n, 2) in the pinhole picture [px]
     nearest: NDArray[np.intp]  # (n,) flat indices in the pinhole picture
     along: NDArray[np.float32]  # (n,) depth along the lens's axis over that along the pinhole's
     samples: Samples
+
+    @cached_property
+    def taps(self) -> csr_matrix:
+        """(n, pixels of the pinhole picture) weights for resampling."""
+        return _taps(self.places, self.camera.width, self.camera.height)
 
 
 class Warp:
@@ -307,6 +360,7 @@ class Warp:
     wider picture is enough; beyond, the faces of a cube are drawn. Colours are resampled by cubic
     convolution (Keys 1981), depths and normals by their nearest pixel. Splats that are evaluated
     along rays need neither: each pixel of the lens is seen along its own ray (samples, placed).
+    Nor do ellipses through a lens that has a curve: each is projected by the lens itself.
     """
 
     def __init__(self, lens: Lens) -> None:
@@ -320,11 +374,10 @@ class Warp:
         self._straight: Camera | None = None
         self._parts: list[_Part] = []
         self._ahead = True
+        self.curve: Curve | None = None
+        """By which EWA is drawn, with camera(), if the lens has one."""
         if lens.is_pinhole:
-            centre = lens.cx + 0.5, lens.cy + 0.5  # Camera has the first pixel's centre at 0.5
-            self._straight = Camera(
-                0, lens.width, lens.height, lens.fx, lens.fy, *centre, np.eye(4)
-            )
+            self._straight = self.camera(np.eye(4), 0.01, 1e10)
             return
         columns, rows = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
         every = np.stack([columns, rows], axis=-1).reshape(-1, 2)
@@ -341,6 +394,7 @@ class Warp:
         if ((rays[:, 2] > 0) & (steep <= WIDEST))[met].all():
             of[met] = 0
         self._ahead = bool((rays[met, 2] > -BEHIND).all())
+        self.curve = Curve.of(lens, rays[met], by_distance=not self._ahead)
         for number, face in enumerate(faces):
             pixels = np.flatnonzero(of == number)
             if len(pixels):
@@ -355,6 +409,14 @@ class Warp:
             )
             for camera in cameras
         ]
+
+    def camera(self, world_to_lens: NDArray[np.float64], near: float, far: float) -> Camera:
+        """The lens's own picture, pose, focal lengths and clips: what a curve is drawn with."""
+        lens = self.lens
+        centre = lens.cx + 0.5, lens.cy + 0.5  # Camera has the first pixel's centre at 0.5
+        return Camera(
+            0, lens.width, lens.height, lens.fx, lens.fy, *centre, world_to_lens, near=near, far=far
+        )
 
     @property
     def samples(self) -> list[Samples]:
@@ -441,7 +503,7 @@ class Warp:
         x, y = np.rint(places).astype(int).T
         with np.errstate(all="ignore"):
             along = np.where(rays[:, 2] > 0, rays[:, 2] / depths, np.nan).astype(np.float32)
-        return _Part(camera, pixels, _taps(places, width, height), y * width + x, along, samples)
+        return _Part(camera, pixels, places, y * width + x, along, samples)
 
 
 class Straightened:

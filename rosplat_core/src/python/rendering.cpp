@@ -103,6 +103,15 @@ PictureRequest requestOf(const CpuRenderer& renderer, const SplatCamera& camera,
 using Samples = std::tuple<Array<std::uint32_t>, Array<float>, Array<float>,
                            std::optional<std::array<float, 3>>>;
 
+// A lens from Python: the curve (n, 4), end, widest and by_distance, as in PictureLens.
+using LensOfPicture = std::tuple<Array<float>, float, float, bool>;
+
+std::optional<PictureLens> lensOf(const std::optional<LensOfPicture>& given) {
+  if (!given) return {};
+  const auto& [curve, end, widest, by_distance] = *given;
+  return PictureLens{curve, end, widest, by_distance};
+}
+
 // Window depths of opaque objects at depths z [m], rounded as the kernels round those of splats.
 // Sets the camera's depth buffer.
 std::vector<float> windowDepths(SplatCamera& camera, const Array<float>& z) {
@@ -134,10 +143,13 @@ std::vector<float> windowDepths(SplatCamera& camera, const Array<float>& z) {
 py::dict drawOnCpu(CpuRenderer& renderer, SplatCamera camera, bool mean_depth, bool median_depth,
                    const std::optional<Array<std::uint32_t>>& order,
                    const std::vector<CpuRenderer*>& beside, const std::optional<Samples>& samples,
+                   const std::optional<LensOfPicture>& lens,
                    const std::optional<Array<float>>& scene_depth) {
   if (mean_depth && median_depth) throw std::invalid_argument("a picture has one depth");
   if (order && !beside.empty()) throw std::invalid_argument("an order is of one map alone");
-  if (samples && scene_depth) throw std::invalid_argument("samples are drawn without objects");
+  if (int(samples.has_value()) + int(lens.has_value()) + int(scene_depth.has_value()) > 1) {
+    throw std::invalid_argument("a picture has one of samples, lens and scene_depth");
+  }
   std::vector<float> opaque;
   if (scene_depth) opaque = windowDepths(camera, *scene_depth);
   PictureRequest request = requestOf(renderer, camera, order);
@@ -149,6 +161,7 @@ py::dict drawOnCpu(CpuRenderer& renderer, SplatCamera camera, bool mean_depth, b
     const auto& [begins, x, y, axis] = *samples;
     request.samples = PictureSamples{begins, x, y, axis};
   }
+  request.lens = lensOf(lens);
   SplatPicture& picture = renderer.picture;
   {
     const py::gil_scoped_release release;
@@ -362,7 +375,7 @@ void defineRendering(py::module_& module) {
       .def_readwrite("settings", &CpuRenderer::settings)
       .def("draw", &drawOnCpu, "camera"_a, "mean_depth"_a = false, "median_depth"_a = false,
            "order"_a = py::none(), "beside"_a = std::vector<CpuRenderer*>(),
-           "samples"_a = py::none(), "scene_depth"_a = py::none(),
+           "samples"_a = py::none(), "lens"_a = py::none(), "scene_depth"_a = py::none(),
            "Draws the map; and, in one order with it, those of other renderers in the same frame. "
            "scene_depth: depths of opaque objects (height, width) [m], which hide splats whose "
            "centres are behind them; inf where there is none.")

@@ -73,6 +73,21 @@ void check(const PictureRequest& request, std::size_t tiles) {
   }
 }
 
+// Throws PictureError for a lens that nothing can be drawn through.
+void checkLens(const PictureRequest& request) {
+  const PictureLens& lens = *request.lens;
+  const std::size_t parts = lens.curve.size / 4;
+  if (parts < 1 || parts > 1 << 20 || lens.curve.size % 4 != 0 || !(lens.end > 0)) {
+    throw PictureError("the lens has no curve");
+  }
+  for (const PictureLayer& layer : request.layers) {
+    const Model model = layer.settings.drawnModel(layer.map->model);
+    if (!isEwa(model) || layer.camera.orthographic) {
+      throw PictureError("only EWA is drawn by a lens's curve, not " + nameOf(model));
+    }
+  }
+}
+
 }  // namespace
 
 bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wanted) {
@@ -92,6 +107,7 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
   down = (camera.height + kTile - 1) / kTile;
   tiles = std::size_t(across) * std::size_t(down);
   if (request.samples) check(request, tiles);
+  if (request.lens) checkLens(request);
   const std::size_t pixels = request.samples
                                  ? request.samples->x.size
                                  : std::size_t(camera.width) * std::size_t(camera.height);
@@ -189,7 +205,8 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
       for (std::size_t i = 0; i < layers.size(); ++i) of_layers[i].drawn += part.of_layers[i];
     }
     first = false;
-    if (request.samples) continue;  // beside the camera, nothing is known to be hidden
+    // Beside the camera, nothing is known to be hidden.
+    if (request.samples || request.lens) continue;
     hides = hides || std::find(open.begin(), open.begin() + std::ptrdiff_t(tiles), kEnded) !=
                          open.begin() + std::ptrdiff_t(tiles);
   }

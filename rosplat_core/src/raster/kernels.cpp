@@ -3,9 +3,9 @@
 // 1. cull: which slots of a page may show, with the sorters' test (depth_order.hpp).
 // 2. hide: leaves out what the pyramid of depths says is behind nearer slices.
 // 3. project: an EWA splat (Zwicker et al. 2001, as in Kerbl et al. 2023) by the projection's
-//    Jacobian, + 0.3 px^2, to an ellipse; a splat trained along rays, or a disc, to a conic
-//    (views/conic.hpp); harmonics to a colour; the tiles that the outline of alpha = 1/255 touches,
-//    row by row.
+//    Jacobian, a pinhole's or a lens's, + 0.3 px^2, to an ellipse; a splat trained along rays, or a
+//    disc, to a conic (views/conic.hpp); harmonics to a colour; the tiles that the outline of alpha
+//    = 1/255 touches, row by row.
 // 4. blend, pick, contribute: a tile's list front to back, alpha = 2^(peak - u^2 - v^2) by four
 //    squarings, until no pixel lets more than 1e-4 through.
 // What is left out is below 1/255 or behind 1e-4; the rest is exact but for the rounding of
@@ -107,7 +107,9 @@ Floats depthThrough(const CullView& view, const Vec3& p) {
   return axis[0] * p.x + axis[1] * p.y + axis[2] * p.z;
 }
 
-template <bool kThroughLens>
+enum class Seen { kPinhole, kFaceOfLens, kInCone };
+
+template <Seen kAs>
 std::size_t cullAs(const CullView& given, const PageSlots& page, Candidate* candidates) {
   const CullView view = given;  // copies that no store below can alias
   const GroupView group = *page.group;
@@ -120,10 +122,14 @@ std::size_t cullAs(const CullView& given, const PageSlots& page, Candidate* cand
     const Floats y = transform(group.to_camera[1], p);
     const Floats z = transform(group.to_camera[2], p);
     const Floats w = view.orthographic ? all(1.0f) : z;
-    const Floats depth = kThroughLens ? depthThrough(view, {x, y, z}) : z;
+    const Floats depth = kAs == Seen::kPinhole ? z : depthThrough(view, {x, y, z});
     Ints seen = (extent >= 0.0f) & (depth > view.near_clip) & (depth < view.far_clip);
-    seen &= abs(view.fx * x + view.offset_x * w) <= view.half_width * w + view.slope_x * extent;
-    seen &= abs(view.fy * y + view.offset_y * w) <= view.half_height * w + view.slope_y * extent;
+    if (kAs == Seen::kInCone) {  // cos(a + e / d) >= cos(a) - e / d
+      seen &= z + view.extent_scale * extent >= view.cone * sqrt(x * x + y * y + z * z);
+    } else {
+      seen &= abs(view.fx * x + view.offset_x * w) <= view.half_width * w + view.slope_x * extent;
+      seen &= abs(view.fy * y + view.offset_y * w) <= view.half_height * w + view.slope_y * extent;
+    }
     if (view.clip_to_box) {
       for (int i = 0; i < 3; ++i) seen &= abs(transform(group.to_box[i], p)) <= view.half_box[i];
     }
@@ -141,8 +147,9 @@ std::size_t cullAs(const CullView& given, const PageSlots& page, Candidate* cand
 }
 
 std::size_t cull(const CullView& view, const PageSlots& page, Candidate* candidates) {
-  return view.through_lens ? cullAs<true>(view, page, candidates)
-                           : cullAs<false>(view, page, candidates);
+  if (view.in_cone) return cullAs<Seen::kInCone>(view, page, candidates);
+  return view.through_lens ? cullAs<Seen::kFaceOfLens>(view, page, candidates)
+                           : cullAs<Seen::kPinhole>(view, page, candidates);
 }
 
 Floats scaleOf(Words code) {
@@ -483,7 +490,37 @@ Aside asideOf(const Vec3& p, const Vec3& scale, const Vec3 (&axes)[3], Floats si
   return aside;
 }
 
-template <bool kConic>
+// Where a lens images points, and the derivatives by the points.
+struct Imaged {
+  Floats x, y;      // [px]
+  Vec3 of_x, of_y;  // [px/m]
+  Ints met;         // whether the lens images the point at all
+};
+
+ROSPLAT_INLINED Imaged imagedBy(const ProjectView& view, const Vec3& p) {
+  const LensCurve& lens = view.lens;
+  const Floats over = 1.0f / max(sqrt(dot(p, p)), all(1e-20f));
+  const Vec3 n = over * p;
+  const Floats beside = n.x * n.x + n.y * n.y;  // next to the axis, 1 - n.z would cancel
+  const Floats w = 0.5f * (n.z > 0.0f ? beside / (1.0f + n.z) : 1.0f - n.z);
+  const Floats at = w * lens.parts_per_end;
+  const Ints part = toInts(min(at, all(float(lens.parts - 1))));
+  const Floats t = at - toFloats(part);
+  const auto coefficient = [&](int k) { return gather(lens.cubics + k, 4 * part); };
+  const Floats c1 = coefficient(1), c2 = coefficient(2), c3 = coefficient(3);
+  const Floats g = coefficient(0) + t * (c1 + t * (c2 + t * c3));
+  const Floats slope = (c1 + t * (2.0f * c2 + t * (3.0f * c3))) * lens.parts_per_end;
+  // Of g n.x: (g e_x - n.x (g n + g' (e_z - n.z n) / 2)) / |p|, as dw = -dn.z / 2.
+  const Floats half = 0.5f * slope, along = g - half * n.z;
+  const Vec3 bend = {along * n.x, along * n.y, along * n.z + half};
+  const Floats fx = view.fx * over, fy = view.fy * over;
+  return {view.fx * g * n.x + view.cx, view.fy * g * n.y + view.cy,
+          fx * Vec3{g - n.x * bend.x, -n.x * bend.y, -n.x * bend.z},
+          fy * Vec3{-n.y * bend.x, g - n.y * bend.y, -n.y * bend.z}, w <= lens.end};
+}
+
+// kLens: ellipses in a lens's picture.
+template <bool kConic, bool kLens>
 std::size_t projectAs(const ProjectView& given, const PageSlots& page,
                       const std::uint16_t* places_of, std::size_t count, Record* records,
                       RayShape* shapes, Footprint* footprints, std::uint16_t* kept) {
@@ -523,7 +560,11 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
     // Rows of the projection's Jacobian: {jx, 0, jxz} and {0, jy, jyz}. Tangents are clamped as in
     // training.
     Floats jx, jxz, jy, jyz, x, y;
-    if (view.orthographic) {
+    Imaged imaged;
+    if constexpr (kLens) {
+      imaged = imagedBy(view, p);
+      x = imaged.x, y = imaged.y;
+    } else if (view.orthographic) {
       jx = all(view.fx), jy = all(view.fy), jxz = jyz = Floats{};
       x = view.fx * p.x + view.cx, y = view.fy * p.y + view.cy;
     } else {
@@ -550,10 +591,21 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
     Vec3 orientation[3];
     orientationOf(appearance[2], appearance[3], orientation);
     const auto& [right, down_of, ahead] = group.to_camera;
-    const Vec3 rows[2] = {{jx * right[0] + jxz * ahead[0], jx * right[1] + jxz * ahead[1],
-                           jx * right[2] + jxz * ahead[2]},
-                          {jy * down_of[0] + jyz * ahead[0], jy * down_of[1] + jyz * ahead[1],
-                           jy * down_of[2] + jyz * ahead[2]}};
+    Vec3 rows[2];
+    if constexpr (kLens) {
+      const auto inGroup = [&](const Vec3& d) {
+        const auto along = [&](int i) {
+          return d.x * right[i] + d.y * down_of[i] + d.z * ahead[i];
+        };
+        return Vec3{along(0), along(1), along(2)};
+      };
+      rows[0] = inGroup(imaged.of_x), rows[1] = inGroup(imaged.of_y);
+    } else {
+      rows[0] = {jx * right[0] + jxz * ahead[0], jx * right[1] + jxz * ahead[1],
+                 jx * right[2] + jxz * ahead[2]};
+      rows[1] = {jy * down_of[0] + jyz * ahead[0], jy * down_of[1] + jyz * ahead[1],
+                 jy * down_of[2] + jyz * ahead[2]};
+    }
     Vec3 m[2];
     for (int i = 0; i < 2; ++i) {
       m[i] = scale * Vec3{dot(rows[i], orientation[0]), dot(rows[i], orientation[1]),
@@ -615,11 +667,13 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
     }
     const Floats reach_x = sigmas * sqrt(outline.a);
     Floats reach_y = sigmas * sqrt(outline.c);
+    const Floats depth = kLens ? max(p.z, Floats{}) : p.z;
     const Floats window_depth = windowDepthOf(view, p.z);
     PixelSpan columns = pixelsIn(outline.x - reach_x, outline.x + reach_x, int(view.width));
     PixelSpan lines = pixelsIn(outline.y - reach_y, outline.y + reach_y, int(view.height));
     Ints seen = (opacity >= kCutoffAlpha) & (major < 1e16f);
     if (!view.through_lens) seen &= window_depth >= 0.0f;
+    if constexpr (kLens) seen &= imaged.met;
     seen &= (outline.x + reach_x > 0.0f) & (outline.y + reach_y > 0.0f) &
             (outline.x - reach_x < view.width) & (outline.y - reach_y < view.height);
     seen &= (columns.first < columns.last) & (lines.first < lines.last);
@@ -696,7 +750,7 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
 
     const Floats fields_of[] = {x,           y,          axis.x * u, axis.y * u,
                                 -axis.y * v, axis.x * v, kept_peak,  colour.x,
-                                colour.y,    colour.z,   p.z,        window_depth};
+                                colour.y,    colour.z,   depth,      window_depth};
     constexpr int kFields = sizeof(fields_of) / sizeof(Floats);
     static_assert(kFields == offsetof(Record, left) / sizeof(float));
     for (int i = 0; i < lanes; ++i) {
@@ -764,10 +818,13 @@ std::size_t project(const ProjectView& view, const PageSlots& page, const std::u
                     std::size_t count, Record* records, RayShape* shapes, Footprint* footprints,
                     std::uint16_t* kept) {
   if (view.model == Model::kRay || view.model == Model::kDisc) {
-    return projectAs<true>(view, page, places, count, records, shapes, footprints, kept);
+    return projectAs<true, false>(view, page, places, count, records, shapes, footprints, kept);
+  }
+  if (view.lens.cubics) {
+    return projectAs<false, true>(view, page, places, count, records, nullptr, footprints, kept);
   }
   const std::size_t n =
-      projectAs<false>(view, page, places, count, records, nullptr, footprints, kept);
+      projectAs<false, false>(view, page, places, count, records, nullptr, footprints, kept);
   for (std::size_t i = 0; shapes && i < n; ++i) {
     shapes[i] = {0, 0, 0, __builtin_inff(), 0, 0, 0, 1};
   }

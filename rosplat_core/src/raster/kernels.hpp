@@ -30,10 +30,21 @@ struct CullView {
   bool clip_to_box;
   float half_box[3];  // [m]
   CutView cut;
-  // Of a face of a lens's picture. The depths that count, for clips and order, are those along the
-  // lens's own axis, given in the face's frame; or distances.
+  // Of a lens's picture, or a face of it. The depths that count, for clips and order, are those
+  // along the lens's own axis, given in the camera's frame; or distances.
   bool through_lens, by_distance;
   float axis[3];
+  // Of a lens's picture: a splat may show where its angle to the axis is at most that of the
+  // farthest pixel, with this cosine, and what its extent, so many times as large, subtends.
+  bool in_cone;
+  float cone, extent_scale;
+};
+
+// PictureLens for the kernels.
+struct LensCurve {
+  const float* cubics;  // null: a pinhole
+  int parts;
+  float end, parts_per_end;
 };
 
 // A slot that may be seen.
@@ -71,6 +82,7 @@ struct ProjectView {
   int sh_degree, only_band;
   bool orthographic;
   bool through_lens;  // splats beside and behind the camera count, too
+  LensCurve lens;
   Model model;
   CutView cut;
 };

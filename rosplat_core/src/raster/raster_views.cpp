@@ -33,9 +33,18 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, const PictureReques
   c.near_clip = view.near_clip;
   c.far_clip = view.far_clip;
   c.orthographic = view.orthographic;
-  c.through_lens = request.samples.has_value();
-  c.by_distance = c.through_lens && !request.samples->axis;
-  if (c.through_lens && !c.by_distance) std::copy_n(request.samples->axis->begin(), 3, c.axis);
+  c.through_lens = request.samples || request.lens;
+  c.in_cone = request.lens.has_value();
+  if (request.samples) {
+    c.by_distance = !request.samples->axis;
+    if (!c.by_distance) std::copy_n(request.samples->axis->begin(), 3, c.axis);
+  }
+  if (request.lens) {
+    c.by_distance = request.lens->by_distance;
+    c.axis[0] = c.axis[1] = 0, c.axis[2] = 1;
+    c.cone = 1 - 2 * request.lens->widest;
+    c.extent_scale = static_cast<float>(camera.extent_scale);
+  }
   c.clip_to_box = box.enabled;
   for (int i = 0; i < 3; ++i) c.half_box[i] = 0.5f * box.size[i];
 
@@ -75,6 +84,11 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, const PictureReques
   p.only_band = settings.only_band;
   p.orthographic = camera.orthographic;
   p.through_lens = c.through_lens;
+  p.lens = {};
+  if (request.lens) {
+    const auto parts = int(request.lens->curve.size / 4);
+    p.lens = {request.lens->curve.data, parts, request.lens->end, float(parts) / request.lens->end};
+  }
   p.model = settings.drawnModel(layer.map->model);
 }
 
@@ -99,7 +113,9 @@ void CpuRasterizer::Work::choosePages(const PictureLayer& layer, std::uint32_t n
   const double error = seen.error;
   if (error == 0) {
     for (const SlotPage& page : slots.pages()) {
-      if (groups[page.group].pages.mayShow(page)) choose(page, slots.at(page), number);
+      if (seen.cull.in_cone || groups[page.group].pages.mayShow(page)) {
+        choose(page, slots.at(page), number);
+      }
     }
     return;
   }
@@ -110,7 +126,8 @@ void CpuRasterizer::Work::choosePages(const PictureLayer& layer, std::uint32_t n
                       blends);
   }
   const auto mayShow = [&](const SlotPage& page, float own, float parent) {
-    return groups[page.group].pages.mayShow(page) && cuts[page.group].mayShow(page, own, parent);
+    return (seen.cull.in_cone || groups[page.group].pages.mayShow(page)) &&
+           cuts[page.group].mayShow(page, own, parent);
   };
   const Cut cut(layer.camera, {}, error, blends);
   CutView& c = seen.cull.cut;

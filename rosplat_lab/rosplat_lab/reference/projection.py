@@ -1,7 +1,7 @@
 """Projection of 3D Gaussians to the picture by each of the models.
 
 EWA: Zwicker et al. 2001, Kerbl et al. 2023; rays: Wu et al. 2025 (3DGUT); discs: Huang et al. 2024
-(2DGS). conics.py has what the latter two share.
+(2DGS). conics.py has what the latter two share. EWA is also projected by a lens: gsplat's fisheye.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rosplat_core import harmonics
 from rosplat_core.cameras import Camera
+from rosplat_core.lenses import Lens
 from rosplat_core.models import Model
 from rosplat_core.quaternions import to_matrices
 from rosplat_core.splats import LOW_PASS, Splats
@@ -49,6 +50,8 @@ class Projected:
     """(m, 3) RGB, 0 or more."""
     depths: Array
     """(m,) z in the camera. [m]"""
+    keys: Array
+    """(m,) by which they are ordered: depths, or distances. [m]"""
     shares: Array
     """(m,) how much of each is drawn: 1 - (1 - alpha)^share."""
 
@@ -57,21 +60,29 @@ class Projected:
         return Projected(*(getattr(self, field.name)[index] for field in fields(self)))
 
 
-def project(splats: Splats, camera: Camera, shares: Array | None = None) -> Projected:
+def project(
+    splats: Splats,
+    camera: Camera,
+    shares: Array | None = None,
+    *,
+    lens: Lens | None = None,
+    by_distance: bool = False,
+) -> Projected:
     """Projects splats and leaves out those that no pixel of the picture can see.
 
-    shares: (n,) how much of each is drawn, 1 if not given.
+    shares: (n,) how much of each is drawn, 1 if not given. lens: what projects EWA in the camera's
+    place, which has its pose and clips. by_distance: clips and order are, not by depth.
     """
     world = splats.positions.astype(np.float64) + splats.origin
     rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-    depths = world @ rotation[2] + translation[2]
-    slots = np.flatnonzero((depths >= camera.near) & (depths <= camera.far))
-    seen, world = splats[slots], world[slots]
     means = world @ rotation.T + translation
+    keys = np.linalg.norm(means, axis=1) if by_distance else means[:, 2]
+    slots = np.flatnonzero((keys >= camera.near) & (keys <= camera.far))
+    seen, world, means, keys = splats[slots], world[slots], means[slots], keys[slots]
 
     opacities = seen.opacities.astype(np.float64)
     ewa = splats.model in (Model.EWA, Model.EWA_ANTIALIASED)
-    conics = Conics.of(_rows(seen, means, camera, clamped=ewa))
+    conics = Conics.of(_rows(seen, means, camera, lens, clamped=ewa))
     if ewa:
         sharp = np.linalg.det(conics.covariances)
         filtered = conics.covariances + LOW_PASS * np.eye(2)
@@ -86,6 +97,8 @@ def project(splats: Splats, camera: Camera, shares: Array | None = None) -> Proj
     cut2 = 2 * np.log(np.maximum(1, opacities / MIN_ALPHA))
     scale = 1.0 if camera.orthographic else means[:, 2:]
     centers = means[:, :2] / scale * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    if lens is not None:
+        centers = lens.project(means) + 0.5  # NaN where it images nothing
     middles, halves = conics.outlines(cut2)
     low, high = centers + middles - halves, centers + middles + halves
     spots = np.full_like(centers, np.nan)
@@ -113,6 +126,7 @@ def project(splats: Splats, camera: Camera, shares: Array | None = None) -> Proj
         opacities=opacities[inside],
         colors=harmonics.colors(seen.sh[inside].astype(np.float64), directions[inside]),
         depths=means[inside, 2],
+        keys=keys[inside],
         shares=np.ones(inside.sum()) if shares is None else shares[slots][inside],
     )
 
@@ -123,7 +137,9 @@ def _flat(covariances: Array) -> Conics:
     return Conics(covariances, np.zeros((n, 2)), np.zeros(n), np.zeros((n, 2)), np.zeros(n))
 
 
-def _rows(splats: Splats, means: Array, camera: Camera, *, clamped: bool) -> Array:
+def _rows(
+    splats: Splats, means: Array, camera: Camera, lens: Lens | None, *, clamped: bool
+) -> Array:
     """(n, 3, 3) the rows right, down [px] and ahead of views/conic.hpp.
 
     clamped: with tangents that stop growing beyond the picture, as EWA is trained.
@@ -134,8 +150,22 @@ def _rows(splats: Splats, means: Array, camera: Camera, *, clamped: bool) -> Arr
         scales = scales * (1, 1, 0)
     axes = camera.world_to_camera[:3, :3] @ (axes * scales[:, None, :])
     flat = jacobians(means, camera, GUARD_BAND if clamped else np.inf) @ axes
+    if lens is not None:
+        flat = _jacobians_of(lens, means) @ axes
     ahead = np.zeros_like(axes[:, 2:]) if camera.orthographic else axes[:, 2:] / means[:, 2:, None]
     return np.concatenate([flat, ahead], axis=1)
+
+
+def _jacobians_of(lens: Lens, means: Array) -> Array:
+    """(n, 2, 3) derivatives of a lens's x, y [px] by the mean (n, 3) [m], by differences."""
+    steps = 1e-5 * np.linalg.norm(means, axis=1)
+    columns = []
+    for axis in np.eye(3):
+        beside = steps[:, None] * axis
+        rise = lens.project(means + beside) - lens.project(means - beside)
+        columns.append(rise / (2 * steps[:, None]))
+    jacobians: Array = np.nan_to_num(np.stack(columns, axis=-1))
+    return jacobians
 
 
 def jacobians(means: Array, camera: Camera, guard_band: float = GUARD_BAND) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
+from rosplat_core.lenses import Lens
 from rosplat_core.splats import Splats
 from rosplat_lab.reference.conics import SPOT
 from rosplat_lab.reference.projection import MAX_ALPHA, MIN_ALPHA, Array, Projected, project
@@ -39,6 +40,8 @@ def render(
     max_alpha: float = MAX_ALPHA,
     min_transmittance: float = 0.0,
     scene_depth: Array | None = None,
+    lens: Lens | None = None,
+    by_distance: bool = False,
 ) -> Picture:
     """Draws splats in float64.
 
@@ -48,12 +51,13 @@ def render(
     not given. max_alpha caps a splat's alpha. A pixel is finished by the splat that would take its
     transmittance to min_transmittance or below (INRIA and gsplat: 1e-4); 0 blends everything.
     scene_depth: (height, width) depths of opaque objects [m], inf where there is none; a splat
-    whose centre is behind them is hidden. Raises ValueError for a crop outside the picture.
+    whose centre is behind them is hidden. lens, by_distance: as in project(); the camera has the
+    size of the lens's picture. Raises ValueError for a crop outside the picture.
     """
     left, top, right, bottom = crop or (0, 0, camera.width, camera.height)
     if not (0 <= left < right <= camera.width and 0 <= top < bottom <= camera.height):
         raise ValueError(f"crop {crop} is not inside {camera.width} x {camera.height}")
-    projected = project(splats, camera, shares)
+    projected = project(splats, camera, shares, lens=lens, by_distance=by_distance)
     projected = projected[_front_to_back(projected, order, len(splats))]
     return blended(
         projected, (left, top, right, bottom), max_alpha=max_alpha,
@@ -153,7 +157,7 @@ def _front_to_back(
 ) -> NDArray[np.intp]:
     """Indices into projected, nearest first; of equal depths the lower slot first."""
     if order is None:
-        return np.argsort(projected.depths, kind="stable")
+        return np.argsort(projected.keys, kind="stable")
     rank = np.full(count, -1)
     rank[order[::-1]] = np.arange(len(order))
     ranks = rank[projected.slots]

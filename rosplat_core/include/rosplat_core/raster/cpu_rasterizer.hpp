@@ -48,6 +48,17 @@ struct PictureSamples {
   std::optional<std::array<float, 3>> axis;
 };
 
+// A lens that is symmetric about its axis, the camera's z: what is in the direction n of length 1
+// is imaged at (cx + fx g n.x, cy + fy g n.y), where g depends on w = (1 - n.z) / 2 alone. That is
+// 0 ahead, and 1 behind.
+struct PictureLens {
+  ArrayView<float> curve;  // g in equal parts of w from 0 to `end`: by part, the four coefficients
+                           // of a cubic in 0 to 1, the constant first
+  float end = 0;           // splats beyond it are not imaged
+  float widest = 0;        // w of the pixel farthest from the axis
+  bool by_distance = false;  // clips and order are by distances, not by depths along the axis
+};
+
 // What a picture shows. The caller owns the arrays. Arrays by pixel begin with the top row.
 struct PictureRequest {
   // At least one layer. All layers have the same camera: only the frame that the camera is given in
@@ -66,6 +77,9 @@ struct PictureRequest {
   // If set, colours and depths are by sample, in their order. For draw() of maps whose model is Ray
   // or Disc, without objects.
   std::optional<PictureSamples> samples;
+  // If set, the picture is the lens's, each splat projected by the lens's own Jacobian. For maps
+  // whose model is EWA, without objects; not with `samples`.
+  std::optional<PictureLens> lens;
   // For contribute(): numbers by pixel, to be shared out to the pixel's splats. May be empty.
   ArrayView<float> residual;
   // Another thread sets this to cancel the picture.
