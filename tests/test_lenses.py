@@ -29,6 +29,8 @@ LENSES = {
         coefficients=(0.45, -2.6, 8e-4, -1e-4, 1.5, 0.33, -2.4, 1.45),
     ),
     "equidistant": Lens(**SIZE, model="equidistant", coefficients=(-0.02, 0.01, -0.005, 0.001)),
+    "double_sphere": Lens(**SIZE, model="double_sphere", coefficients=(-0.18, 0.59)),
+    "ftheta": Lens(**SIZE, model="ftheta", coefficients=(0, 1, -0.02, 0.05, -0.09, 0.03, 1.5)),
     # As depthai has those of an OAK: thin prisms, and a sensor tilted by half a degree.
     "rational_polynomial of 12": Lens(
         **SIZE,
@@ -64,7 +66,7 @@ def pixels_of(lens: Lens) -> np.ndarray:
     return np.stack([columns, rows], axis=-1).astype(np.float64)
 
 
-@pytest.mark.parametrize("model", LENSES)
+@pytest.mark.parametrize("model", sorted(set(LENSES) - {"double_sphere", "ftheta"}))
 def test_rays_arrive_where_opencv_has_them(model: str) -> None:
     lens = LENSES[model]
     rays = lens.rays(pixels_of(lens))
@@ -79,13 +81,44 @@ def test_rays_arrive_where_opencv_has_them(model: str) -> None:
     np.testing.assert_allclose(lens.project(rays), pixels_of(lens), atol=1e-4)
 
 
+def test_rays_of_a_double_sphere_are_those_of_its_authors() -> None:
+    """Usenko et al. 2018, equations 46 to 49."""
+    lens = LENSES["double_sphere"]
+    pixels = pixels_of(lens)
+    xi, alpha = lens.coefficients
+    m = (pixels - (lens.cx, lens.cy)) / (lens.fx, lens.fy)
+    square = (m**2).sum(-1)
+    ahead = (1 - alpha**2 * square) / (alpha * np.sqrt(1 - (2 * alpha - 1) * square) + 1 - alpha)
+    length = (ahead * xi + np.sqrt(ahead**2 + (1 - xi**2) * square)) / (ahead**2 + square)
+    rays = np.concatenate([m, ahead[..., None]], -1) * length[..., None] - (0, 0, xi)
+    np.testing.assert_allclose(lens.rays(pixels), rays, atol=1e-9)
+    np.testing.assert_allclose(lens.project(rays), pixels, atol=1e-6)
+    assert math.degrees(lens.most_angle) > 100  # it sees behind itself
+
+
+def test_an_f_theta_lens_is_its_polynomials() -> None:
+    lens = LENSES["ftheta"]
+    angles = np.linspace(0, 1.4, 50)
+    rays = np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=-1)
+    distances = np.polynomial.polynomial.polyval(angles, lens.coefficients[:6])
+    np.testing.assert_allclose(lens.project(rays)[:, 0], lens.cx + lens.fx * distances, atol=1e-9)
+    beyond = [math.sin(1.51), 0, math.cos(1.51)]
+    assert np.isnan(lens.project(beyond)).all()  # the largest angle is 1.5
+    back = (0, 1, 0.1, -0.02, 0, 0)  # the exact one
+    lens = replace(lens, coefficients=(0, 1, -0.1, 0, 0, 0, 0, *back))
+    pixels = np.stack([lens.cx + lens.fx * np.linspace(0, 1, 30), np.full(30, lens.cy)], axis=-1)
+    found = lens.rays(pixels)
+    expected = np.polynomial.polynomial.polyval(np.linspace(0, 1, 30), back)
+    np.testing.assert_allclose(np.arctan2(found[:, 0], found[:, 2]), expected, atol=1e-9)
+
+
 def test_rays_that_do_not_arrive_are_none() -> None:
     behind = np.array([[0.1, 0.2, -1.0]])
     for lens in LENSES.values():
         assert np.isnan(lens.project(np.array([[30.0, 0.0, 1.0]]))).all() or lens.model in (
-            "equidistant", "rational_polynomial",
+            "equidistant", "rational_polynomial", "double_sphere",
         )  # fmt: skip
-        if lens.model != "equidistant":
+        if not lens.is_fisheye:
             assert np.isnan(lens.project(behind)).all()
 
 
@@ -102,6 +135,9 @@ def test_rays_that_do_not_arrive_are_none() -> None:
             "d has 15 numbers, expected 8, 12, 14 of",
         ),
         ({"model": "equidistant", "coefficients": (0, 0, 0, 0, 1)}, "d has 5 numbers, expected 4"),
+        ({"model": "double_sphere", "coefficients": (0, 1.5)}, "d: xi is 0, alpha 1.5, expected"),
+        ({"model": "ftheta", "coefficients": (9, 1)}, "d: expected polynomials that begin with 0"),
+        ({"model": "ftheta", "coefficients": (0, -1)}, "and then rise"),
     ],
 )
 def test_what_is_no_lens_names_the_field(changes: dict[str, object], said: str) -> None:
@@ -312,14 +348,21 @@ def test_only_rays_and_discs_are_drawn_by_samples() -> None:
 @pytest.mark.parametrize("model", [Model.EWA, Model.EWA_ANTIALIASED])
 @pytest.mark.parametrize(
     "lens",
-    [FISHEYE, BEHIND, replace(LENSES["equidistant"], cx=100.2, cy=180.7)],
-    ids=["fisheye", "behind", "off-centre"],
+    [
+        FISHEYE,
+        BEHIND,
+        replace(LENSES["equidistant"], cx=100.2, cy=180.7),
+        replace(LENSES["double_sphere"], fx=90.0, fy=90.0),
+        replace(LENSES["ftheta"], fx=150.0, fy=150.0),
+    ],
+    ids=["fisheye", "behind", "off-centre", "double_sphere", "ftheta"],
 )
 def test_ellipses_are_projected_by_the_lens(lens: Lens, model: Model) -> None:
     """Against the reference, which differentiates the lens itself."""
     splats = cloud(model)
     warp = Warp(lens)
-    behind = lens is BEHIND
+    assert warp.curve
+    behind = warp.curve.by_distance
     eye = np.eye(4) if behind else EYE  # from within, splats are all around
     picture = take_picture(CpuRenderer(splats), warp, eye, depth="expected")
     camera = warp.camera(eye, 0.01, 1e10)

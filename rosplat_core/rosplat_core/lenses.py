@@ -2,8 +2,9 @@
 
 The models are those of sensor_msgs/distortion_models.hpp, as OpenCV defines them: plumb_bob and
 rational_polynomial, also with thin prisms and a tilted sensor (Brown 1966; cv::projectPoints),
-equidistant (Kannala and Brandt 2006; cv::fisheye). Pixels are ROS's: the centre of the top left one
-is (0, 0). Knows no ROS.
+equidistant (Kannala and Brandt 2006; cv::fisheye); and double_sphere (Usenko et al. 2018), ftheta
+(NVIDIA's). Fisheyes, which are the last three, are functions of the angle off the axis alone.
+Pixels are ROS's: the centre of the top left one is (0, 0). Knows no ROS.
 """
 
 from __future__ import annotations
@@ -24,13 +25,18 @@ from rosplat_core.log_text import shown
 
 Array = NDArray[np.float64]
 
-PINHOLE, PLUMB_BOB, RATIONAL, EQUIDISTANT = "", "plumb_bob", "rational_polynomial", "equidistant"
+PINHOLE, PLUMB_BOB, RATIONAL = "", "plumb_bob", "rational_polynomial"
+EQUIDISTANT, DOUBLE_SPHERE, F_THETA = FISHEYES = "equidistant", "double_sphere", "ftheta"
 # How many coefficients a model may have; missing ones are 0.
-COEFFICIENTS = {PINHOLE: (0,), PLUMB_BOB: (5,), RATIONAL: (8, 12, 14), EQUIDISTANT: (4,)}
+COEFFICIENTS = {
+    PINHOLE: (0,), PLUMB_BOB: (5,), RATIONAL: (8, 12, 14),
+    EQUIDISTANT: (4,), DOUBLE_SPHERE: (2,), F_THETA: (6, 7, 13),
+}  # fmt: skip
 
 LONGEST_SIDE = 8192  # [px]
 WIDEST = math.tan(math.radians(50))  # beyond, splats lose their shape in one pinhole picture
 STEEPEST = math.radians(84)  # most angle of a ray for polynomials of its tangent [rad]
+MOST_STRETCH = 10  # of a fisheye: beyond, relative to the centre, it images nothing
 NEWTON_STEPS = 4
 TOLERANCE = 1e-4  # between a pixel and the projection of the ray found for it [px]
 TILE = 16  # as the rasteriser's [px]
@@ -52,7 +58,8 @@ class Lens:
     """Size of the picture. [px]"""
     height: int
     fx: float
-    """Focal lengths; with distortion, those at the centre. [px]"""
+    """Focal lengths; with distortion, those at the centre; a double_sphere has 1 + xi times
+    as many. [px]"""
     fy: float
     cx: float
     """Principal point, where the centre of the top left pixel is (0, 0). [px]"""
@@ -60,7 +67,11 @@ class Lens:
     model: str = PINHOLE
     coefficients: tuple[float, ...] = ()
     """As CameraInfo.d: plumb_bob k1 k2 p1 p2 k3; rational_polynomial k1 k2 p1 p2 k3 k4 k5 k6, then
-    s1 s2 s3 s4 of thin prisms, then the sensor's tilt about x and y [rad]; equidistant k1 k2 k3 k4.
+    s1 s2 s3 s4 of thin prisms, then the sensor's tilt about x and y [rad]; equidistant k1 k2 k3 k4;
+    double_sphere xi alpha. ftheta has the polynomial that gives a distance from the principal point
+    in focal lengths for an angle [rad], from the constant, 0, to the fifth power; then the largest
+    angle that it is for, 0 if for all; then, if that is the exact one, the polynomial that gives
+    the angle for the distance.
     """
 
     def __post_init__(self) -> None:
@@ -83,6 +94,11 @@ class Lens:
         size = next((size for size in counts if size >= count), counts[-1])
         padded = (*self.coefficients, *[0.0] * size)[:size]
         object.__setattr__(self, "coefficients", padded)
+        if self.model == DOUBLE_SPHERE and not (padded[0] > -1 and 0 <= padded[1] <= 1):
+            said = f"xi is {padded[0]}, alpha {padded[1]}"
+            raise LensError(f"d: {said}, expected more than -1, and 0 to 1")
+        if self.model == F_THETA and (padded[0] or any(padded[7:8]) or not padded[1] > 0):
+            raise LensError("d: expected polynomials that begin with 0, and then rise")
 
     @classmethod
     def of_view(cls, width: int, height: int, angle: float) -> Lens:
@@ -95,19 +111,24 @@ class Lens:
     @property
     def is_pinhole(self) -> bool:
         """Whether straight lines stay straight."""
-        return self.model != EQUIDISTANT and not any(self.coefficients)
+        return self.model not in (EQUIDISTANT, F_THETA) and not any(self.coefficients)
+
+    @property
+    def is_fisheye(self) -> bool:
+        """Whether it may see behind itself, and is a function of the angle off its axis alone."""
+        return self.model in FISHEYES and not self.is_pinhole
 
     def project(self, rays: ArrayLike) -> Array:
         """Pixels (..., 2) of rays (..., 3) of any length: x right, y down, z forward.
 
-        NaN for rays past the fold of the distortion and, unless equidistant, from behind the lens.
+        NaN for rays past the fold of the distortion and, unless of a fisheye, from behind the lens.
         """
         rays = np.asarray(rays, np.float64)
         ahead, beside = rays[..., 2], np.linalg.norm(rays[..., :2], axis=-1)
         with np.errstate(all="ignore"):
-            if self.model == EQUIDISTANT:
+            if self.is_fisheye:
                 radius = np.arctan2(beside, ahead)
-                scale = np.where(beside > 0, self._profile(radius) / beside, 1 / ahead)
+                scale = np.where(beside > 0, self._profile(radius) / beside, 0)
                 points = rays[..., :2] * scale[..., None]
             else:
                 radius = np.where(ahead > 0, beside / ahead, np.inf)
@@ -118,7 +139,7 @@ class Lens:
     def rays(self, pixels: ArrayLike) -> Array:
         """Rays (..., 3) that arrive at pixels (..., 2), the inverse of project().
 
-        Their z is 1; of equidistant lenses, their length. NaN where the distortion folds before.
+        Their z is 1; of fisheyes, their length. NaN where the distortion folds before.
         """
         pixels = np.asarray(pixels, np.float64)
         goals = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
@@ -130,9 +151,10 @@ class Lens:
         found = np.interp(radii, self._reach[1], self._reach[0])
         with np.errstate(all="ignore"):
             turn = np.where(radii[..., None] > 0, goals / radii[..., None], 0)
-        if self.model == EQUIDISTANT:
+        if self.is_fisheye:
             for _ in range(NEWTON_STEPS):
-                found = found - (self._profile(found) - radii) / self._slope(found)
+                slope = (self._profile(found + 1e-6) - self._profile(found - 1e-6)) / 2e-6
+                found = found - (self._profile(found) - radii) / slope
             rays = np.concatenate(
                 [turn * np.sin(found)[..., None], np.cos(found)[..., None]], axis=-1
             )
@@ -147,35 +169,48 @@ class Lens:
 
     @property
     def most_angle(self) -> float:
-        """The angle off the axis up to which an equidistant lens images rays. [rad]"""
+        """The angle off the axis up to which a fisheye images rays. [rad]"""
         return float(self._reach[0][-1])
 
     def radius(self, angles: Array) -> Array:
-        """How far from the principal point, in focal lengths, an equidistant lens images angles off
-        its axis. [rad]"""
+        """How far from the principal point a fisheye images angles off its axis [rad], in focal
+        lengths."""
         return self._profile(angles)
 
-    # --- Polynomials of the radius: a ray's tangent; of equidistant lenses, its angle -------------
+    # --- Functions of the radius: a ray's tangent; of fisheyes, its angle -------------------------
 
     def _profile(self, radius: Array) -> Array:
         """Distorted radii by the radial part of the distortion."""
         square = radius * radius
+        if not self.is_fisheye:
+            return radius * self._radial(square)[0]
         if self.model == EQUIDISTANT:
             return radius * _polynomial(square, (1, *self.coefficients))
-        return radius * self._radial(square)[0]
-
-    def _slope(self, angle: Array) -> Array:
-        odd = [(2 * i + 1) * k for i, k in enumerate((1, *self.coefficients))]
-        return _polynomial(angle * angle, odd)
+        if self.model == DOUBLE_SPHERE:
+            xi, alpha = self.coefficients
+            beside, ahead = np.sin(radius), xi + np.cos(radius)
+            return beside / (alpha * np.hypot(beside, ahead) + (1 - alpha) * ahead)
+        near = _polynomial(radius, self.coefficients[:6])
+        if not any(exact := self.coefficients[7:]):
+            return near
+        for _ in range(NEWTON_STEPS):
+            near = near - (_polynomial(near, exact) - radius) / _polynomial(near, _derived(exact))
+        return near
 
     @cached_property
     def _reach(self) -> tuple[Array, Array]:
         """Radii up to the fold of the distortion, and their distorted radii, both ascending."""
-        angles = np.linspace(0, math.pi if self.model == EQUIDISTANT else STEEPEST, 8192)
-        radii = angles if self.model == EQUIDISTANT else np.tan(angles)
+        most = math.pi if self.is_fisheye else STEEPEST
+        if self.model == F_THETA:
+            most = min(most, *filter(None, self.coefficients[6:7]), math.pi)
+        angles = np.linspace(0, most, 8192)
+        radii = angles if self.is_fisheye else np.tan(angles)
         with np.errstate(all="ignore"):
             taken = self._profile(radii)
-        falls = ~(np.diff(taken) > 0)
+        rises = np.diff(taken)
+        falls = ~(rises > 0)
+        if self.is_fisheye:
+            falls |= rises > MOST_STRETCH * rises[0]
         end = int(np.argmax(falls)) + 1 if falls.any() else len(radii)
         return radii[:end], taken[:end]
 
@@ -195,7 +230,7 @@ class Lens:
     @cached_property
     def _tilt(self) -> Array | None:
         """(3, 3) from the plane z = 1 to that of a tilted sensor, as homogeneous points."""
-        x, y = self.coefficients[12:] or (0.0, 0.0)
+        x, y = (() if self.is_fisheye else self.coefficients[12:]) or (0.0, 0.0)
         if not (x or y):
             return None
         about_x = [[1, 0, 0], [0, math.cos(x), math.sin(x)], [0, -math.sin(x), math.cos(x)]]
@@ -275,7 +310,7 @@ _FACES = (  # the axes right, down, forward of each face of a cube around the ca
 
 
 class Curve(NamedTuple):
-    """An equidistant lens for EWA, which projects each splat by the lens's own Jacobian.
+    """A fisheye for EWA, which projects each splat by the lens's own Jacobian.
 
     A direction n of length 1 is imaged at the principal point + g (fx n_x, fy n_y), where g depends
     on w = (1 - n_z) / 2 alone: 0 ahead, 1 behind.
@@ -294,7 +329,7 @@ class Curve(NamedTuple):
     @classmethod
     def of(cls, lens: Lens, rays: Array, *, by_distance: bool) -> Curve | None:
         """The curve of a lens whose pixels have these rays (n, 3); None if it has none."""
-        if lens.model != EQUIDISTANT:
+        if not lens.is_fisheye:
             return None
         lengths = np.linalg.norm(rays, axis=1)
         angle = float(np.arccos(np.clip((rays[:, 2] / lengths).min(), -1, 1)))
@@ -366,7 +401,7 @@ class Warp:
     def __init__(self, lens: Lens) -> None:
         """Raises LensError for too large a pinhole picture, or a fold of the distortion in view.
 
-        Around the round picture of an equidistant lens, though, pixels may have no ray.
+        Around the round picture of a fisheye, though, pixels may have no ray.
         """
         self.lens = lens
         self.met: NDArray[np.bool_] = np.ones((lens.height, lens.width), bool)
@@ -383,7 +418,7 @@ class Warp:
         every = np.stack([columns, rows], axis=-1).reshape(-1, 2)
         rays = lens.rays(every)
         met = np.isfinite(rays).all(axis=1)
-        if not met.all() and (lens.model != EQUIDISTANT or not met.any()):
+        if not met.all() and not (lens.is_fisheye and met.any()):
             x, y = every[np.argmin(met)]
             raise LensError(f"d: the distortion folds: no ray arrives at pixel {x}, {y}")
         self.met = met.reshape(lens.height, lens.width)

@@ -109,3 +109,47 @@ def test_a_part_of_the_picture_is_refused() -> None:
 def test_a_message_of_zeros_rectifies_nothing() -> None:
     with pytest.raises(LensError, match="r: expected a rotation"):
         rectified(CameraInfo(width=3, height=2))
+
+
+F_THETA = """{"resolution": [960, 540], "shutter_type": "GLOBAL", "principal_point": [477.9, 271.4],
+"reference_poly": "ANGLE_TO_PIXELDIST", "angle_to_pixeldist_poly": [0, 474, -9.5, 25, -42, 15],
+"pixeldist_to_angle_poly": [0, 0.0021, 1e-7, -8e-10, 2.5e-12, -1.8e-15], "max_angle": 1.35,
+"linear_cde": [0.99975, 6e-5, -1e-4]}"""
+
+
+def test_parameters_of_an_f_theta_camera_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(F_THETA)
+    lens = lens_of(load(str(path)))
+    assert (lens.width, lens.height, lens.cx, lens.cy) == (960, 540, 477.9, 271.4)
+    angle = 1.2
+    distance = np.polynomial.polynomial.polyval(angle, [0, 474, -9.5, 25, -42, 15])
+    across, down = np.sin(angle) * np.eye(2)
+    rays = np.array([[*across, np.cos(angle)], [*down, np.cos(angle)]])
+    expected = [[477.9 + 0.99975 * distance, 271.4], [477.9, 271.4 + distance]]
+    np.testing.assert_allclose(lens.project(rays), expected, atol=1e-9)
+    assert not np.isfinite(lens.project([np.sin(1.4), 0, np.cos(1.4)])).any()
+    path.write_text(F_THETA.replace("ANGLE_TO_PIXELDIST", "PIXELDIST_TO_ANGLE"))
+    ray = lens_of(load(str(path))).rays([477.9, 271.4 + 300])
+    back = np.polynomial.polynomial.polyval(300, [0, 0.0021, 1e-7, -8e-10, 2.5e-12, -1.8e-15])
+    assert np.arctan2(ray[1], ray[2]) == pytest.approx(back, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"resolution": [960, 540]', '"resolution": 960', "resolution: no data, or not of numbers"),
+        ("[0, 474,", "[0, -474,", "angle_to_pixeldist_poly rises by -474.0, expected more than 0"),
+        ("6e-5", "0.1", "linear_cde is 0.99975, 0.1, -0.0001: a skewed picture"),
+        ("ANGLE_TO_PIXELDIST", "BOTH", "reference_poly is 'BOTH', expected ANGLE_TO_PIXELDIST or"),
+        ("1.35", '"wide"', "max_angle: no data, or not of numbers"),
+        ("}", "", "no JSON"),
+    ],
+)
+def test_what_is_wrong_with_an_f_theta_camera_names_the_key(
+    tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(F_THETA.replace(old, new))
+    with pytest.raises(SceneError, match=said):
+        load(str(path))

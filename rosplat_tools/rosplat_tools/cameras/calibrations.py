@@ -1,7 +1,12 @@
-"""Calibrations of cameras: CameraInfo messages, the files of camera_calibration, and lenses."""
+"""Calibrations of cameras: CameraInfo messages, files, and lenses.
+
+Files are YAML as camera_calibration writes it, or JSON with the parameters of an f-theta camera as
+NVIDIA's NCore, NuRec and gsplat have them.
+"""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +15,7 @@ import yaml
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo
 
-from rosplat_core.lenses import Lens, LensError
+from rosplat_core.lenses import F_THETA, Lens, LensError
 from rosplat_core.log_text import shown
 from rosplat_core.splats import SceneError
 
@@ -22,6 +27,7 @@ _MATRICES = {
     "p": ("projection_matrix", 12),
 }
 _OPTIONAL = ("r", "p")
+_MOST_SKEW = 0.5  # of an f-theta camera's picture, over all of it [px]
 
 
 def of_lens(lens: Lens) -> CameraInfo:
@@ -72,16 +78,17 @@ def _check_window(info: CameraInfo) -> None:
 
 
 def load(path: str) -> CameraInfo:
-    """Reads a calibration as camera_calibration and camera_info_manager write it, YAML.
+    """Reads a calibration: YAML of camera_calibration, or JSON of an f-theta camera.
 
     Raises SceneError, naming the file and the key.
     """
+    kind, parse = ("JSON", json.loads) if path.endswith(".json") else ("YAML", yaml.safe_load)
     try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        content = parse(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise SceneError(f"{shown(path)}: {error.strerror or error}") from error
     except (ValueError, yaml.YAMLError) as error:  # of UTF-8, of a date, of too many digits
-        raise SceneError(f"{shown(path)}: no YAML: {shown(error, 200)}") from error
+        raise SceneError(f"{shown(path)}: no {kind}: {shown(error, 200)}") from error
     try:
         info = _read(content)
         lens_of(info)
@@ -93,6 +100,8 @@ def load(path: str) -> CameraInfo:
 def _read(content: Any) -> CameraInfo:
     if not isinstance(content, dict):
         raise LensError("expected keys and values")
+    if "angle_to_pixeldist_poly" in content:
+        return of_lens(_f_theta(content))
     info = CameraInfo()
     for field, key in (("width", "image_width"), ("height", "image_height")):
         value = content.get(key)
@@ -110,6 +119,32 @@ def _read(content: Any) -> CameraInfo:
     if not info.r.any():
         info.r = np.eye(3).ravel()
     return info
+
+
+def _f_theta(content: dict[str, Any]) -> Lens:
+    """The lens of an f-theta camera, whose polynomials are of pixels."""
+
+    def numbers(key: str, count: int) -> list[float]:
+        return _numbers({"data": content.get(key)}, key, count)
+
+    width, height = map(int, numbers("resolution", 2))
+    centre = numbers("principal_point", 2)
+    forward, back = numbers("angle_to_pixeldist_poly", 6), numbers("pixeldist_to_angle_poly", 6)
+    c, d, e = numbers("linear_cde", 3) if "linear_cde" in content else (1.0, 0.0, 0.0)
+    if max(abs(d), abs(e)) * max(width, height) > _MOST_SKEW:
+        raise LensError(f"linear_cde is {c}, {d}, {e}: a skewed picture")
+    focal = forward[1]
+    if not focal > 0:
+        raise LensError(f"angle_to_pixeldist_poly rises by {focal}, expected more than 0")
+    (most,) = _numbers({"data": [content.get("max_angle", 0.0)]}, "max_angle", 1)
+    coefficients = [*(k / focal for k in forward), most]
+    reference = content.get("reference_poly")
+    if reference == "PIXELDIST_TO_ANGLE":
+        coefficients += [k * focal**power for power, k in enumerate(back)]
+    elif reference != "ANGLE_TO_PIXELDIST":
+        known = "ANGLE_TO_PIXELDIST or PIXELDIST_TO_ANGLE"
+        raise LensError(f"reference_poly is {shown(reference)!r}, expected {known}")
+    return Lens(width, height, c * focal, focal, *centre, F_THETA, tuple(coefficients))
 
 
 def _numbers(matrix: Any, key: str, count: int | None) -> list[float]:
