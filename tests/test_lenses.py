@@ -15,7 +15,7 @@ from rosplat_core.generated import generate
 from rosplat_core.lens_pictures import take_picture
 from rosplat_core.lenses import Lens, LensError, Straightened, Warp
 from rosplat_core.models import Model
-from rosplat_core.rendering import CpuRenderer, DrawMode, posed
+from rosplat_core.rendering import Contributions, CpuRenderer, DrawMode, posed
 from rosplat_lab import reference
 from rosplat_lab.reference.rays import along_rays
 
@@ -268,16 +268,16 @@ def test_normals_look_at_the_camera() -> None:
 def test_what_pixels_have_goes_back_to_those_they_are_made_of(lens: Lens) -> None:
     """back() is the adjoint of colour(): both have the same inner product."""
     random = np.random.default_rng(3)
-    warp = Warp(lens)
+    sheets = Warp(lens).sheets(Model.EWA)
     pictures = [
         random.normal(size=(c.height, c.width, 1)).astype(np.float32)
-        for c in warp.cameras(np.eye(4), 0.01, 100.0)
+        for c, _ in sheets.cameras(np.eye(4), 0.01, 100.0)
     ]
     values = random.normal(size=(lens.height, lens.width)).astype(np.float32)
-    there = np.sum(warp.colour(pictures)[..., 0] * values, dtype=np.float64)
+    there = np.sum(sheets.colour(pictures)[..., 0] * values, dtype=np.float64)
     back = sum(
         np.sum(picture[..., 0] * dealt, dtype=np.float64)
-        for picture, dealt in zip(pictures, warp.back(values), strict=True)
+        for picture, dealt in zip(pictures, sheets.back(values), strict=True)
     )
     assert there == pytest.approx(back, rel=1e-3, abs=0.1)
 
@@ -361,11 +361,12 @@ def test_ellipses_are_projected_by_the_lens(lens: Lens, model: Model) -> None:
     """Against the reference, which differentiates the lens itself."""
     splats = cloud(model)
     warp = Warp(lens)
-    assert warp.curve
-    behind = warp.curve.by_distance
+    ((camera, curve),) = warp.sheets(model).cameras(np.eye(4), 0.01, 1e10)
+    assert curve
+    behind = curve.by_distance
     eye = np.eye(4) if behind else EYE  # from within, splats are all around
     picture = take_picture(CpuRenderer(splats), warp, eye, depth="expected")
-    camera = warp.camera(eye, 0.01, 1e10)
+    camera = replace(camera, world_to_camera=eye)
     expected = reference.render(splats, camera, lens=lens, by_distance=behind)
     colour = np.where(warp.met[..., None], expected.rgba[..., :3], 0)
     assert decibels(picture.colour, colour) >= 75
@@ -377,11 +378,52 @@ def test_ellipses_are_projected_by_the_lens(lens: Lens, model: Model) -> None:
     assert not np.isfinite(picture.depth[expected.rgba[..., 3] < 0.49]).any()
 
 
-def test_a_lens_is_drawn_by_its_own_picture_or_not_at_all() -> None:
-    assert Warp(FISHEYE).curve and not Warp(LENSES["plumb_bob"]).curve
-    assert not Warp(replace(FISHEYE, fx=12.0, fy=12.0)).curve  # all around: as faces of a cube
-    camera, curve = posed(Warp(FISHEYE).camera(np.eye(4), 0.01, 1e3)), Warp(FISHEYE).curve
+def test_contributions_through_a_lens_add_up_to_its_picture() -> None:
+    renderer = CpuRenderer(cloud())
+    ((camera, curve),) = Warp(FISHEYE).sheets(Model.EWA).cameras(EYE, 0.01, 1e3)
+    sums = Contributions()
+    renderer.contribute(posed(camera), sums, lens=curve)
+    alpha = renderer.draw(posed(camera), lens=curve)["colour"][..., 3]
+    assert sums.weight.sum() == pytest.approx(alpha.sum(), rel=0.02)  # less what is below 0.01
+
+
+def test_only_ellipses_are_drawn_by_a_curve() -> None:
+    ((camera, curve),) = Warp(FISHEYE).sheets(Model.EWA).cameras(np.eye(4), 0.01, 1e3)
     with pytest.raises(RuntimeError, match="only EWA is drawn by a lens's curve, not Ray"):
-        CpuRenderer(cloud(Model.RAY)).draw(camera, lens=curve)
+        CpuRenderer(cloud(Model.RAY)).draw(posed(camera), lens=curve)
+    opaque = np.ones((64, 64), np.float32)
     with pytest.raises(ValueError, match="a picture has one of samples, lens and scene_depth"):
-        CpuRenderer(cloud()).draw(camera, lens=curve, scene_depth=np.ones((64, 64), np.float32))
+        CpuRenderer(cloud()).draw(posed(camera), lens=curve, scene_depth=opaque)
+
+
+PANORAMA = Lens(240, 120, 120 / math.pi, 120 / math.pi, 119.5, 59.5, "equirectangular")
+
+
+def test_a_panorama_sees_along_its_rays_all_around() -> None:
+    splats = cloud(Model.RAY)[:200]
+    splats.scales[:] = np.maximum(splats.scales, 0.03)
+    rays = PANORAMA.rays(pixels_of(PANORAMA))
+    np.testing.assert_allclose(PANORAMA.project(rays), pixels_of(PANORAMA), atol=1e-9)
+    picture = take_picture(CpuRenderer(splats), Warp(PANORAMA), np.eye(4))
+    rgba, _ = along_rays(splats, np.eye(4), rays, behind=True)
+    assert decibels(picture.colour, rgba[..., :3]) >= 70
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [PANORAMA, replace(FISHEYE, fx=12.0, fy=12.0), replace(LENSES["plumb_bob"], fx=120.0)],
+    ids=["panorama", "all around", "wide"],
+)
+def test_ellipses_of_a_wide_lens_have_no_seams(lens: Lens) -> None:
+    """Splats all around look much as along the rays: by the faces of a cube, to 22 to 25 dB."""
+    splats = cloud()
+    splats.positions[:] *= 3 / np.linalg.norm(splats.positions, axis=1, keepdims=True)
+    splats.scales[:] = np.random.default_rng(6).uniform(0.2, 0.4, (len(splats), 1))
+    warp = Warp(lens)
+    assert len(warp.cameras(np.eye(4), 0.01, 1e3)) > 2
+    renderer = CpuRenderer(splats)
+    eye = look_at((0.1, 0.0, 0.0), (1.0, 0.0, 0.0))
+    ellipses = take_picture(renderer, warp, eye).colour
+    renderer.settings.model = int(Model.RAY)
+    rays = take_picture(renderer, warp, eye).colour
+    assert decibels(ellipses, rays) >= 30

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.cameras import Camera
 from rosplat_core.lenses import Warp
 from rosplat_core.models import Model
 from rosplat_core.rendering import CpuRenderer, DrawMode, posed
@@ -21,6 +20,7 @@ MEDIAN, EXPECTED = "median", "expected"
 DEPTHS = (MEDIAN, EXPECTED)
 
 Pixels = NDArray[np.float32]
+View = tuple[NDArray[np.float64], float, float]  # world to lens (4, 4), near, far [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,53 +57,45 @@ def take_picture(
     if depth not in ("", *DEPTHS):
         raise ValueError(f"depth is '{depth}', expected one of {', '.join(DEPTHS)}")
     wanted = {"median_depth": depth == MEDIAN, "mean_depth": depth == EXPECTED}
-    by_rays = renderer.model in (Model.RAY, Model.DISC)
-    if warp.curve and not by_rays:
-        camera = warp.camera(world_to_lens, near, far)
-        picture = _by_curve(renderer, warp, camera, wanted, normals)
-    else:
-        take = _by_rays if by_rays and warp.samples else _warped
-        picture = take(renderer, warp, warp.cameras(world_to_lens, near, far), wanted, normals)
+    by_samples = warp.samples and renderer.model in (Model.RAY, Model.DISC)
+    take = _by_rays if by_samples else _warped
+    picture = take(renderer, warp, (world_to_lens, near, far), wanted, normals)
     if picture.normals is None:
         return picture
     return replace(picture, normals=picture.normals @ world_to_lens[:3, :3].T.astype("f4"))
 
 
 def _warped(
-    renderer: CpuRenderer,
-    warp: Warp,
-    cameras: list[Camera],
-    wanted: dict[str, bool],
-    normals: bool,
+    renderer: CpuRenderer, warp: Warp, view: View, wanted: dict[str, bool], normals: bool
 ) -> LensPicture:
-    """As take_picture, from pictures of pinhole cameras; normals in the map's frame."""
+    """As take_picture, from pictures of other cameras; normals in the map's frame."""
+    sheets = warp.sheets(renderer.model)
 
     def draw(**wanted: bool) -> list[dict[str, Any]]:
-        return [renderer.draw(posed(camera), **wanted) for camera in cameras]
+        return [
+            renderer.draw(posed(camera), lens=curve, **wanted)
+            for camera, curve in sheets.cameras(*view)
+        ]
 
     drawn = draw(**wanted)
-    colour = warp.colour([each["colour"][..., :3] for each in drawn])
-    depth = warp.depth([_depth(each) for each in drawn]) if any(wanted.values()) else None
+    colour = sheets.colour([each["colour"][..., :3] for each in drawn])
+    depth = sheets.depth([_depth(each) for each in drawn]) if any(wanted.values()) else None
     facing = None
     if normals:
         pictures = _in_mode(renderer, DrawMode.NORMALS, draw)
-        facing = warp.nearest([_normals(each["colour"]) for each in pictures])
+        facing = sheets.nearest([_normals(each["colour"]) for each in pictures])
     return LensPicture(colour, depth, facing)
 
 
 def _by_rays(
-    renderer: CpuRenderer,
-    warp: Warp,
-    cameras: list[Camera],
-    wanted: dict[str, bool],
-    normals: bool,
+    renderer: CpuRenderer, warp: Warp, view: View, wanted: dict[str, bool], normals: bool
 ) -> LensPicture:
     """As _warped, but each pixel along its own ray."""
 
     def draw(**wanted: bool) -> list[dict[str, Any]]:
         return [
             renderer.draw(posed(camera), samples=samples, **wanted)
-            for camera, samples in zip(cameras, warp.samples, strict=True)
+            for camera, samples in zip(warp.cameras(*view), warp.samples, strict=True)
         ]
 
     drawn = draw(**wanted)
@@ -116,26 +108,6 @@ def _by_rays(
     if normals:
         pictures = _in_mode(renderer, DrawMode.NORMALS, draw)
         facing = warp.placed([_normals(each["colour"]) for each in pictures], np.nan)
-    return LensPicture(colour, depth, facing)
-
-
-def _by_curve(
-    renderer: CpuRenderer, warp: Warp, camera: Camera, wanted: dict[str, bool], normals: bool
-) -> LensPicture:
-    """As _warped, but each splat is projected by the lens."""
-
-    def draw(**wanted: bool) -> dict[str, Any]:
-        return renderer.draw(posed(camera), lens=warp.curve, **wanted)
-
-    drawn = draw(**wanted)
-    colour = np.where(warp.met[..., None], drawn["colour"][..., :3], np.float32(0))
-    depth = facing = None
-    if any(wanted.values()):
-        depth = _depth(drawn)
-        depth[~(warp.met & (depth > 0))] = np.nan
-    if normals:
-        facing = _normals(_in_mode(renderer, DrawMode.NORMALS, draw)["colour"])
-        facing[~warp.met] = np.nan
     return LensPicture(colour, depth, facing)
 
 

@@ -3,14 +3,15 @@
 The models are those of sensor_msgs/distortion_models.hpp, as OpenCV defines them: plumb_bob and
 rational_polynomial, also with thin prisms and a tilted sensor (Brown 1966; cv::projectPoints),
 equidistant (Kannala and Brandt 2006; cv::fisheye); and double_sphere (Usenko et al. 2018), ftheta
-(NVIDIA's). Fisheyes, which are the last three, are functions of the angle off the axis alone.
+(NVIDIA's). Fisheyes, which are the last three, are functions of the angle off the axis alone. And
+equirectangular, a panorama: focal lengths are pixels for a radian of longitude and latitude.
 Pixels are ROS's: the centre of the top left one is (0, 0). Knows no ROS.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -22,15 +23,17 @@ from scipy.sparse import csr_matrix
 
 from rosplat_core.cameras import Camera
 from rosplat_core.log_text import shown
+from rosplat_core.models import Model
 
 Array = NDArray[np.float64]
 
 PINHOLE, PLUMB_BOB, RATIONAL = "", "plumb_bob", "rational_polynomial"
 EQUIDISTANT, DOUBLE_SPHERE, F_THETA = FISHEYES = "equidistant", "double_sphere", "ftheta"
+EQUIRECTANGULAR = "equirectangular"
 # How many coefficients a model may have; missing ones are 0.
 COEFFICIENTS = {
     PINHOLE: (0,), PLUMB_BOB: (5,), RATIONAL: (8, 12, 14),
-    EQUIDISTANT: (4,), DOUBLE_SPHERE: (2,), F_THETA: (6, 7, 13),
+    EQUIDISTANT: (4,), DOUBLE_SPHERE: (2,), F_THETA: (6, 7, 13), EQUIRECTANGULAR: (0,),
 }  # fmt: skip
 
 LONGEST_SIDE = 8192  # [px]
@@ -44,6 +47,7 @@ BEHIND = math.sin(math.radians(4))  # how far behind itself a lens may see that 
 MARGIN = 3  # around the part of a pinhole picture that is warped, for the filter's taps [px]
 PARTS = 4096  # of a lens's curve
 ROUNDEST = math.radians(160)  # off the axis; beyond, a lens stretches splats too much for a curve
+ROUNDED = math.radians(125)  # off the axis, where stereographic pictures of half of all end
 
 
 class LensError(ValueError):
@@ -111,7 +115,8 @@ class Lens:
     @property
     def is_pinhole(self) -> bool:
         """Whether straight lines stay straight."""
-        return self.model not in (EQUIDISTANT, F_THETA) and not any(self.coefficients)
+        bent = (EQUIDISTANT, F_THETA, EQUIRECTANGULAR)
+        return self.model not in bent and not any(self.coefficients)
 
     @property
     def is_fisheye(self) -> bool:
@@ -124,6 +129,10 @@ class Lens:
         NaN for rays past the fold of the distortion and, unless of a fisheye, from behind the lens.
         """
         rays = np.asarray(rays, np.float64)
+        if self.model == EQUIRECTANGULAR:
+            x, y, z = np.moveaxis(rays, -1, 0)
+            angles = np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=-1)
+            return angles * (self.fx, self.fy) + (self.cx, self.cy)
         ahead, beside = rays[..., 2], np.linalg.norm(rays[..., :2], axis=-1)
         with np.errstate(all="ignore"):
             if self.is_fisheye:
@@ -139,12 +148,20 @@ class Lens:
     def rays(self, pixels: ArrayLike) -> Array:
         """Rays (..., 3) that arrive at pixels (..., 2), the inverse of project().
 
-        Their z is 1; of fisheyes, their length. NaN where the distortion folds before.
+        Of fisheyes and panoramas, their length is 1; of others, their z. NaN where the distortion
+        folds before.
         """
         pixels = np.asarray(pixels, np.float64)
         goals = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
         if self.is_pinhole:
             return np.concatenate([goals, np.ones((*goals.shape[:-1], 1))], axis=-1)
+        if self.model == EQUIRECTANGULAR:
+            goals = np.where(np.abs(goals) <= (math.pi, math.pi / 2), goals, np.nan)
+            (x, y), (z, level) = (
+                np.sin(np.moveaxis(goals, -1, 0)),
+                np.cos(np.moveaxis(goals, -1, 0)),
+            )
+            return np.stack([level * x, y, level * z], axis=-1)
         if self._tilt is not None:
             goals = _mapped(np.asarray(np.linalg.inv(self._tilt), np.float64), goals)
         radii = np.linalg.norm(goals, axis=-1)
@@ -297,7 +314,7 @@ def _derived(coefficients: Sequence[float]) -> list[float]:
     return [i * c for i, c in enumerate(coefficients)][1:]
 
 
-# --- Pinhole pictures to the lens's ---------------------------------------------------------------
+# --- Pictures to the lens's -----------------------------------------------------------------------
 
 _FACES = (  # the axes right, down, forward of each face of a cube around the camera
     ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
@@ -310,7 +327,7 @@ _FACES = (  # the axes right, down, forward of each face of a cube around the ca
 
 
 class Curve(NamedTuple):
-    """A fisheye for EWA, which projects each splat by the lens's own Jacobian.
+    """A picture that is round about the camera's axis, for EWA: it projects splats by its Jacobian.
 
     A direction n of length 1 is imaged at the principal point + g (fx n_x, fy n_y), where g depends
     on w = (1 - n_z) / 2 alone: 0 ahead, 1 behind.
@@ -327,22 +344,19 @@ class Curve(NamedTuple):
     """Splats count, and are ordered, by their distances, not by their depths along the axis."""
 
     @classmethod
-    def of(cls, lens: Lens, rays: Array, *, by_distance: bool) -> Curve | None:
-        """The curve of a lens whose pixels have these rays (n, 3); None if it has none."""
-        if not lens.is_fisheye:
-            return None
-        lengths = np.linalg.norm(rays, axis=1)
-        angle = float(np.arccos(np.clip((rays[:, 2] / lengths).min(), -1, 1)))
-        if angle > ROUNDEST:
-            return None
-        end = math.sin(min(lens.most_angle, (ROUNDEST + math.pi) / 2) / 2) ** 2
+    def of(
+        cls, radius: Callable[[Array], Array], end: float, widest: float, *, by_distance: bool
+    ) -> Curve:
+        """Of a function from angles off the axis [rad] to radii in focal lengths, and two angles
+        for w."""
         # The cubic through four points of each part, those at its ends shared with the next one.
         steps = np.arange(4) / 3
+        end = math.sin(end / 2) ** 2
         places = (np.arange(PARTS)[:, None] + steps) / PARTS * end
         angles = 2 * np.arcsin(np.sqrt(np.maximum(places, 1e-12)))
-        values = lens.radius(angles) / np.sin(angles)
+        values = radius(angles) / np.sin(angles)
         cubics = values @ np.linalg.inv(steps[:, None] ** np.arange(4)).T
-        return cls(cubics.astype(np.float32), end, math.sin(angle / 2) ** 2, by_distance)
+        return cls(cubics.astype(np.float32), end, math.sin(widest / 2) ** 2, by_distance)
 
 
 class Samples(NamedTuple):
@@ -373,142 +387,93 @@ class Samples(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """The n pixels of the lens's picture that are warped from one pinhole picture."""
+    """The n pixels of the lens's picture that are taken from one picture to draw."""
 
     camera: Camera  # its world is the lens's optical frame
+    curve: Curve | None  # None: of a pinhole camera
     pixels: NDArray[np.intp]  # (n,) flat indices in the lens's picture
-    places: Array  # (n, 2) in the pinhole picture [px]
-    nearest: NDArray[np.intp]  # (n,) flat indices in the pinhole picture
-    along: NDArray[np.float32]  # (n,) depth along the lens's axis over that along the pinhole's
-    samples: Samples
+    places: Array | None = None  # (n, 2) in the picture to draw [px]; None: that is the lens's
+    along: NDArray[np.float32] | float = 1.0  # (n,) depth along the lens's axis over the camera's
 
     @cached_property
     def taps(self) -> csr_matrix:
-        """(n, pixels of the pinhole picture) weights for resampling."""
+        """(n, pixels of the picture to draw) weights for resampling."""
+        if self.places is None:
+            count = len(self.pixels)
+            rows = (np.ones(count, np.float32), self.pixels, np.arange(count + 1))
+            return csr_matrix(rows, shape=(count, self.camera.width * self.camera.height))
         return _taps(self.places, self.camera.width, self.camera.height)
 
+    @cached_property
+    def nearest(self) -> NDArray[np.intp]:
+        """(n,) flat indices in the picture to draw."""
+        if self.places is None:
+            return self.pixels
+        x, y = np.rint(self.places).astype(np.intp).T
+        nearest: NDArray[np.intp] = y * self.camera.width + x
+        return nearest
 
-class Warp:
-    """Warps the pictures of one to six pinhole cameras, at a lens's place, to the lens's picture.
 
-    A lens without distortion needs one picture and no warp. Up to 50 degrees off the axis, one
-    wider picture is enough; beyond, the faces of a cube are drawn. Colours are resampled by cubic
-    convolution (Keys 1981), depths and normals by their nearest pixel. Splats that are evaluated
-    along rays need neither: each pixel of the lens is seen along its own ray (samples, placed).
-    Nor do ellipses through a lens that has a curve: each is projected by the lens itself.
+class Sheets:
+    """Pictures to draw, which are warped to a lens's picture.
+
+    Colours are resampled by cubic convolution (Keys 1981), depths and normals by their nearest
+    pixel.
     """
 
-    def __init__(self, lens: Lens) -> None:
-        """Raises LensError for too large a pinhole picture, or a fold of the distortion in view.
+    def __init__(self, size: tuple[int, int], parts: list[_Part]) -> None:
+        """size: height and width of the lens's picture [px]."""
+        self._size = size
+        self._parts = parts
+        self._same = parts[0].places is None and len(parts[0].pixels) == size[0] * size[1]
 
-        Around the round picture of a fisheye, though, pixels may have no ray.
-        """
-        self.lens = lens
-        self.met: NDArray[np.bool_] = np.ones((lens.height, lens.width), bool)
-        """(height, width) whether a ray arrives at a pixel."""
-        self._straight: Camera | None = None
-        self._parts: list[_Part] = []
-        self._ahead = True
-        self.curve: Curve | None = None
-        """By which EWA is drawn, with camera(), if the lens has one."""
-        if lens.is_pinhole:
-            self._straight = self.camera(np.eye(4), 0.01, 1e10)
-            return
-        columns, rows = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
-        every = np.stack([columns, rows], axis=-1).reshape(-1, 2)
-        rays = lens.rays(every)
-        met = np.isfinite(rays).all(axis=1)
-        if not met.all() and not (lens.is_fisheye and met.any()):
-            x, y = every[np.argmin(met)]
-            raise LensError(f"d: the distortion folds: no ray arrives at pixel {x}, {y}")
-        self.met = met.reshape(lens.height, lens.width)
-        faces = np.array(_FACES, np.float64)
-        of = np.where(met, np.argmax(rays @ faces[:, 2].T, axis=1), -1)
-        with np.errstate(all="ignore"):
-            steep = np.abs(rays[:, :2] / rays[:, 2:]).max(axis=1)
-        if ((rays[:, 2] > 0) & (steep <= WIDEST))[met].all():
-            of[met] = 0
-        self._ahead = bool((rays[met, 2] > -BEHIND).all())
-        self.curve = Curve.of(lens, rays[met], by_distance=not self._ahead)
-        for number, face in enumerate(faces):
-            pixels = np.flatnonzero(of == number)
-            if len(pixels):
-                self._parts.append(self._part(rays[pixels], pixels, face))
-
-    def cameras(self, world_to_lens: NDArray[np.float64], near: float, far: float) -> list[Camera]:
-        """The pinhole cameras to draw, for the transform (4, 4) to the lens, and depths [m]."""
-        cameras = [self._straight] if self._straight else [part.camera for part in self._parts]
+    def cameras(
+        self, world_to_lens: NDArray[np.float64], near: float, far: float
+    ) -> list[tuple[Camera, Curve | None]]:
+        """What to draw, for the transform (4, 4) to the lens, and depths [m]."""
         return [
-            replace(
-                camera, world_to_camera=camera.world_to_camera @ world_to_lens, near=near, far=far
-            )
-            for camera in cameras
+            (_placed(part.camera, world_to_lens, near, far), part.curve) for part in self._parts
         ]
-
-    def camera(self, world_to_lens: NDArray[np.float64], near: float, far: float) -> Camera:
-        """The lens's own picture, pose, focal lengths and clips: what a curve is drawn with."""
-        lens = self.lens
-        centre = lens.cx + 0.5, lens.cy + 0.5  # Camera has the first pixel's centre at 0.5
-        return Camera(
-            0, lens.width, lens.height, lens.fx, lens.fy, *centre, world_to_lens, near=near, far=far
-        )
-
-    @property
-    def samples(self) -> list[Samples]:
-        """The lens's pixels in the picture of each camera; none of a lens without distortion."""
-        return [part.samples for part in self._parts]
-
-    def placed(
-        self, values: Sequence[NDArray[np.float32]], missing: float = 0.0
-    ) -> NDArray[np.float32]:
-        """(height, width, c) from values of samples (n, c) for each camera."""
-        placed = np.full((self.lens.height * self.lens.width, values[0].shape[1]), missing, "f4")
-        for part, of_part in zip(self._parts, values, strict=True):
-            placed[part.pixels] = of_part
-        return placed.reshape(self.lens.height, self.lens.width, -1)
-
-    def ahead(self, depths: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
-        """Depths along the lens's axis from those of samples (n,) for each camera. [m]"""
-        return [part.along * depth for part, depth in zip(self._parts, depths, strict=True)]
 
     def colour(self, pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
         """(height, width, c) from one (h, w, c) for each camera; 0 where no ray arrives."""
-        if self._straight:
+        if self._same:
             return pictures[0]
-        channels = pictures[0].shape[2]
-        warped = np.zeros((self.lens.height * self.lens.width, channels), np.float32)
+        warped = self._empty(pictures[0].shape[2], 0.0)
         for part, picture in zip(self._parts, pictures, strict=True):
-            warped[part.pixels] = part.taps @ picture.reshape(-1, channels)
-        return warped.reshape(self.lens.height, self.lens.width, channels)
+            flat = picture.reshape(-1, picture.shape[2])
+            warped[part.pixels] = flat[part.pixels] if part.places is None else part.taps @ flat
+        return warped.reshape(*self._size, -1)
 
     def depth(self, pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
         """(height, width) along the lens's axis [m] from one (h, w) for each camera.
 
         NaN where no ray arrives, the point is not in front of the lens, or the pictures have NaN.
         """
-        if self._straight:
+        if self._same and not self._parts[0].curve:
             return pictures[0]
-        warped = np.full(self.lens.height * self.lens.width, np.nan, np.float32)
+        warped = self._empty(1, np.nan)[:, 0]
         for part, picture in zip(self._parts, pictures, strict=True):
-            warped[part.pixels] = part.along * picture.ravel()[part.nearest]
-        return warped.reshape(self.lens.height, self.lens.width)
+            taken = picture.ravel()[part.nearest]
+            warped[part.pixels] = part.along * np.where(taken > 0, taken, np.float32(np.nan))
+        return warped.reshape(self._size)
 
     def nearest(self, pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
         """(height, width, c) from one (h, w, c) for each camera, unmixed; NaN without a ray."""
-        if self._straight:
+        if self._same:
             return pictures[0]
         channels = pictures[0].shape[2]
-        warped = np.full((self.lens.height * self.lens.width, channels), np.nan, np.float32)
+        warped = self._empty(channels, np.nan)
         for part, picture in zip(self._parts, pictures, strict=True):
             warped[part.pixels] = picture.reshape(-1, channels)[part.nearest]
-        return warped.reshape(self.lens.height, self.lens.width, channels)
+        return warped.reshape(*self._size, channels)
 
     def back(self, values: NDArray[np.float32]) -> list[NDArray[np.float32]]:
         """(h, w) for each camera from (height, width): the adjoint of colour().
 
-        Splits each value among the pinhole pixels that colour() mixes there, by their weights.
+        Splits each value among the pixels that colour() mixes there, by their weights.
         """
-        if self._straight:
+        if self._same:
             return [values]
         flat = values.ravel()
         return [
@@ -518,27 +483,142 @@ class Warp:
             for part in self._parts
         ]
 
-    def _part(self, rays: Array, pixels: NDArray[np.intp], rotation: Array) -> _Part:
-        turned = rays @ rotation.T
-        depths = turned[:, 2]
-        places = turned[:, :2] / depths[:, None] * (self.lens.fx, self.lens.fy)
+    def _empty(self, channels: int, value: float) -> NDArray[np.float32]:
+        return np.full((self._size[0] * self._size[1], channels), value, np.float32)
+
+
+class Warp:
+    """How pictures of a lens are drawn.
+
+    Along rays, each pixel has its place in the picture of a pinhole camera at the lens's place, or
+    of the six faces of a cube around that (samples, placed, ahead). Ellipses (sheets): a lens
+    without distortion needs one picture and no warp, a fisheye one by its own curve. For others, a
+    wider pinhole picture is warped that ends 50 degrees off the axis; beyond, a stereographic one,
+    which leaves shapes as they are, or two, ahead and behind.
+    """
+
+    def __init__(self, lens: Lens) -> None:
+        """Raises LensError for too large a picture to draw, or a fold of the distortion in view.
+
+        Around the round picture of a fisheye, though, pixels may have no ray.
+        """
+        self.lens = lens
+        self.met: NDArray[np.bool_] = np.ones((lens.height, lens.width), bool)
+        """(height, width) whether a ray arrives at a pixel."""
+        self.samples: list[Samples] = []
+        """The lens's pixels in the picture of each camera; none of a lens without distortion."""
+        centre = lens.cx + 0.5, lens.cy + 0.5  # Camera has the first pixel's centre at 0.5
+        whole = Camera(0, lens.width, lens.height, lens.fx, lens.fy, *centre, np.eye(4))
+        if lens.is_pinhole:
+            self._faces = [_Part(whole, None, np.arange(lens.width * lens.height))]
+            self._sheets = self._faces
+            return
+        columns, rows = np.meshgrid(np.arange(lens.width), np.arange(lens.height))
+        every = np.stack([columns, rows], axis=-1).reshape(-1, 2)
+        rays = lens.rays(every)
+        met = np.isfinite(rays).all(axis=1)
+        if not met.all() and not (lens.is_fisheye and met.any()):
+            x, y = every[np.argmin(met)]
+            raise LensError(f"d: the distortion folds: no ray arrives at pixel {x}, {y}")
+        self.met = met.reshape(lens.height, lens.width)
+        pixels = np.flatnonzero(met)
+        rays = rays[met] / np.linalg.norm(rays[met], axis=1, keepdims=True)
+        self._behind = bool((rays[:, 2] < -BEHIND).any())
+        self._faces = self._cube(rays, pixels)
+        self._sheets = self._faces
+        widest = math.acos(max(float(rays[:, 2].min()), -1.0))
+        if lens.is_fisheye and widest <= ROUNDEST:
+            end = min(lens.most_angle, (ROUNDEST + math.pi) / 2)
+            curve = Curve.of(lens.radius, end, widest, by_distance=self._behind)
+            self._sheets = [_Part(whole, curve, pixels)]
+        elif len(self._faces) > 1:
+            self._sheets = self._rounds(rays, pixels)
+
+    def cameras(self, world_to_lens: NDArray[np.float64], near: float, far: float) -> list[Camera]:
+        """The pinhole cameras that together see what the lens sees; samples are in their pictures.
+
+        world_to_lens: (4, 4); depths [m].
+        """
+        return [_placed(part.camera, world_to_lens, near, far) for part in self._faces]
+
+    def sheets(self, model: Model) -> Sheets:
+        """What to draw of a map of a model, if not by samples."""
+        parts = self._faces if model in (Model.RAY, Model.DISC) else self._sheets
+        return Sheets(self.met.shape, parts)
+
+    def placed(
+        self, values: Sequence[NDArray[np.float32]], missing: float = 0.0
+    ) -> NDArray[np.float32]:
+        """(height, width, c) from values of samples (n, c) for each camera."""
+        placed = np.full((self.lens.height * self.lens.width, values[0].shape[1]), missing, "f4")
+        for part, of_part in zip(self._faces, values, strict=True):
+            placed[part.pixels] = of_part
+        return placed.reshape(self.lens.height, self.lens.width, -1)
+
+    def ahead(self, depths: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
+        """Depths along the lens's axis from those of samples (n,) for each camera. [m]"""
+        return [part.along * depth for part, depth in zip(self._faces, depths, strict=True)]
+
+    def _cube(self, rays: Array, pixels: NDArray[np.intp]) -> list[_Part]:
+        """One pinhole picture, or the faces of a cube. Appends to samples."""
+        faces = np.array(_FACES, np.float64)
+        of = np.argmax(rays @ faces[:, 2].T, axis=1)
+        with np.errstate(all="ignore"):
+            steep = np.abs(rays[:, :2] / rays[:, 2:]).max(axis=1)
+        if ((rays[:, 2] > 0) & (steep <= WIDEST)).all():
+            of[:] = 0
+        parts = []
+        for number, face in enumerate(faces):
+            seen = of == number
+            if not seen.any():
+                continue
+            turned = rays[seen] @ face.T
+            places, camera = self._framed(turned[:, :2] / turned[:, 2:], face)
+            axis = None if self._behind else tuple(face[:, 2].tolist())
+            order, samples = Samples.of(places + 0.5, camera.width, camera.height, axis)
+            self.samples.append(samples)
+            ahead = rays[seen, 2][order]
+            with np.errstate(all="ignore"):
+                along = np.where(ahead > 0, ahead / turned[order, 2], np.nan).astype(np.float32)
+            parts.append(_Part(camera, None, pixels[seen][order], places[order], along))
+        return parts
+
+    def _rounds(self, rays: Array, pixels: NDArray[np.intp]) -> list[_Part]:
+        """One stereographic picture; of a lens that sees behind itself, one of each half."""
+        ahead = (rays[:, 2] > 0) | (not self._behind)
+        parts = []
+        for seen, face, along in ((ahead, _FACES[0], 1.0), (~ahead, _FACES[5], math.nan)):
+            if not seen.any():
+                continue
+            turn = np.array(face, np.float64)
+            turned = rays[seen] @ turn.T
+            half = 2 / (1 + turned[:, 2:])  # 2 tan(a / 2) of an angle a, over its sine
+            places, camera = self._framed(turned[:, :2] * half, turn)
+            widest = math.acos(min(float(turned[:, 2].min()), 1.0))
+            curve = Curve.of(
+                lambda angles: 2 * np.tan(angles / 2), ROUNDED, widest, by_distance=self._behind
+            )
+            parts.append(_Part(camera, curve, pixels[seen], places, along))
+        return parts
+
+    def _framed(self, points: Array, rotation: Array) -> tuple[Array, Camera]:
+        """Places (n, 2) [px] of points (n, 2) in focal lengths, and the camera of their picture."""
+        places = points * (self.lens.fx, self.lens.fy)
         low = np.floor(places.min(axis=0)).astype(int) - MARGIN
         width, height = (np.ceil(places.max(axis=0)).astype(int) + MARGIN - low + 1).tolist()
         if max(width, height) > LONGEST_SIDE:
             raise LensError(f"d: the lens needs a picture of {width} x {height} pixels")
-        places = places - low
-        x, y, z = rotation[:, 2].tolist()
-        axis = (x, y, z) if self._ahead else None
-        order, samples = Samples.of(places + 0.5, width, height, axis)
-        rays, depths, places, pixels = rays[order], depths[order], places[order], pixels[order]
         pose = np.eye(4)
         pose[:3, :3] = rotation
         left, top = (0.5 - low).tolist()
         camera = Camera(0, width, height, self.lens.fx, self.lens.fy, left, top, pose)
-        x, y = np.rint(places).astype(int).T
-        with np.errstate(all="ignore"):
-            along = np.where(rays[:, 2] > 0, rays[:, 2] / depths, np.nan).astype(np.float32)
-        return _Part(camera, pixels, places, y * width + x, along, samples)
+        return places - low, camera
+
+
+def _placed(camera: Camera, world_to_lens: Array, near: float, far: float) -> Camera:
+    """A camera in the lens's frame, in the world."""
+    pose = camera.world_to_camera @ world_to_lens
+    return replace(camera, world_to_camera=pose, near=near, far=far)
 
 
 class Straightened:

@@ -201,9 +201,11 @@ py::dict drawOnCpu(CpuRenderer& renderer, SplatCamera camera, bool mean_depth, b
 }
 
 void contributeOnCpu(CpuRenderer& renderer, const SplatCamera& camera, Contributions& sums,
-                     const std::optional<Array<float>>& residual) {
+                     const std::optional<Array<float>>& residual,
+                     const std::optional<LensOfPicture>& lens) {
   PictureRequest request = requestOf(renderer, camera);
   if (residual) request.residual = *residual;
+  request.lens = lensOf(lens);
   const py::gil_scoped_release release;
   renderer.rasterizer.contribute(request, sums);
 }
@@ -384,7 +386,8 @@ void defineRendering(py::module_& module) {
       .def("nodes", &nodesOf, "level"_a, "group"_a = 0)
       .def_property_readonly("levels_bytes", [](CpuRenderer& r) { return r.levels.bytes(); })
       .def("pick", &pickOnCpu, "camera"_a)
-      .def("contribute", &contributeOnCpu, "camera"_a, "sums"_a, "residual"_a = py::none())
+      .def("contribute", &contributeOnCpu, "camera"_a, "sums"_a, "residual"_a = py::none(),
+           "lens"_a = py::none())
       .def_property_readonly(
           "map", [](CpuRenderer& r) -> GaussianMap& { return r.map; },
           py::return_value_policy::reference_internal, "The books of the map that it draws.")

@@ -61,16 +61,18 @@ class ResidualMap:
     def add(self, found: Compared, near: float, far: float) -> None:
         """Deals the errors of those of a picture's pixels that count."""
         counts = found.mask.astype(np.float32)
+        renderer = self._map.renderer
+        sheets = found.warp.sheets(renderer.model)
         of_pixels = zip(
-            found.warp.cameras(found.world_to_lens, near, far),
-            found.warp.back(found.errors * counts),
-            found.warp.back(counts),
+            sheets.cameras(found.world_to_lens, near, far),
+            sheets.back(found.errors * counts),
+            sheets.back(counts),
             strict=True,
         )
         dealt = Contributions(), Contributions()
-        for camera, *residuals in of_pixels:
+        for (camera, curve), *residuals in of_pixels:
             for sums, residual in zip(dealt, residuals, strict=True):
-                self._map.renderer.contribute(posed(camera), sums, residual=residual)
+                renderer.contribute(posed(camera), sums, residual=residual, lens=curve)
         errors, weights = (sums.residual for sums in dealt)
         self._sums = grown(self._sums, len(weights))
         shown = np.flatnonzero(weights > 0)
