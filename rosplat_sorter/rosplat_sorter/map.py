@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core._core import SortMap
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
-
-if TYPE_CHECKING:
-    pass
 
 # An index for NumPy: a range of rows, or an array of them.
 Rows: TypeAlias = "slice | NDArray[np.int64]"
