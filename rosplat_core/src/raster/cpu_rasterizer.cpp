@@ -1,12 +1,12 @@
 // How it works. Work::run() draws a picture in slices of depth, so that what nearer slices hide
 // costs little, and memory is that of one slice:
-// 1. setView, choosePages, cull: what may show, page by page, then slot by slot.
+// 1. setViews, cull: what may show, page by page, then slot by slot.
 // 2. deal: cuts that into slices of some 260,000 splats, nearest first.
 // 3. For each slice, raisePyramid (depths behind which nothing shows, after Greene et al. 1993),
 //    project what that doesn't hide, and list the splats by tiles.
 // 4. sortTile, blend: each tile sorts its pairs by depth and blends them. One thread a tile, so
 //    pictures are the same to the bit for any number of threads.
-// 5. findMeanDepths. pick() and contribute() end otherwise from step 4 on.
+// 5. finish: depths. pick() and contribute() end otherwise from step 4 on.
 // The order is exactly that of depth and slot. A slice that finds no memory is halved.
 
 #include "rosplat_core/raster/cpu_rasterizer.hpp"
@@ -54,8 +54,17 @@ bool orSay(const SplatCamera& camera, const Run& run) {
                      std::to_string(camera.height) + " pixels");
 }
 
+// Throws PictureError for a camera whose picture is too small or too large.
+void checkSize(const SplatCamera& camera) {
+  const auto [least, most] = std::minmax(camera.width, camera.height);
+  if (least >= 1 && most <= kLongestSide) return;
+  throw PictureError("a picture of " + std::to_string(camera.width) + " x " +
+                     std::to_string(camera.height) + " pixels can't be drawn, only 1 to " +
+                     std::to_string(kLongestSide));
+}
+
 // Throws PictureError for samples that can't be drawn.
-void check(const PictureRequest& request, std::size_t tiles) {
+void checkSamples(const PictureRequest& request, std::size_t tiles) {
   const PictureSamples& samples = *request.samples;
   bool fits = samples.begins.size == tiles + 1 && samples.x.size == samples.y.size &&
               samples.begins[0] == 0 && samples.begins[tiles] == samples.x.size;
@@ -88,83 +97,28 @@ void checkLens(const PictureRequest& request) {
   }
 }
 
+// Throws PictureError for arrays by pixel, of objects or residuals, that are of another picture.
+void checkPixels(const PictureRequest& request, std::size_t pixels) {
+  for (const ArrayView<float>* values :
+       {&request.scene_depth, &request.translucent_depth, &request.residual}) {
+    if (values->empty() || values->size == pixels) continue;
+    throw PictureError("numbers of " + std::to_string(values->size) +
+                       " pixels do not fit a picture of " + std::to_string(pixels));
+  }
+}
+
 }  // namespace
 
 bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wanted) {
-  SplatPicture* const picture = wanted.picture;
-  cancel = request.cancelled;
-  out_of_memory = false;
-  profile.clear();
-  began = Clock::now();
-  const SplatCamera& camera = request.layers.front().camera;
-  if (std::min(camera.width, camera.height) < 1 ||
-      std::max(camera.width, camera.height) > kLongestSide) {
-    throw PictureError("a picture of " + std::to_string(camera.width) + " x " +
-                       std::to_string(camera.height) + " pixels can't be drawn, only 1 to " +
-                       std::to_string(kLongestSide));
-  }
-  across = (camera.width + kTile - 1) / kTile;
-  down = (camera.height + kTile - 1) / kTile;
-  tiles = std::size_t(across) * std::size_t(down);
-  if (request.samples) check(request, tiles);
-  if (request.lens) checkLens(request);
-  const std::size_t pixels = request.samples
-                                 ? request.samples->x.size
-                                 : std::size_t(camera.width) * std::size_t(camera.height);
-  for (const ArrayView<float>* depths :
-       {&request.scene_depth, &request.translucent_depth, &request.residual}) {
-    if (!depths->empty() && depths->size != pixels) {
-      throw PictureError("numbers of " + std::to_string(depths->size) +
-                         " pixels do not fit a picture of " + std::to_string(pixels));
-    }
-  }
-  ends_at = wanted.contributions ? kLeastSeen : kTransparent;
-  if (wanted.contributions) {
-    remaining.resize(4 * pixels);
-    const std::size_t capacity = request.layers.front().map->capacity;
-    wanted.contributions->weight.resize(capacity);
-    wanted.contributions->energy.resize(capacity);
-    wanted.contributions->error.resize(capacity);
-    wanted.contributions->residual.resize(capacity);
-  }
-  if (picture) {
-    const bool kept = picture->width == camera.width && picture->height == camera.height;
-    picture->width = picture->height = 0;  // in case there is no memory for all of the picture
-    picture->colour.resize(4 * pixels);
-    picture->depth.resize(request.depth == PictureDepth::kNone ? 0 : pixels);
-    picture->tiles.resize(request.depth == PictureDepth::kMean && !request.samples ? tiles : 0);
-    const std::size_t divided = request.translucent_depth.empty() ? 0 : pixels;
-    if (!kept || picture->behind.size() != 4 * divided) {
-      picture->behind.assign(4 * divided, 0.0f);
-      picture->nearness.assign(2 * divided, 0.0f);
-      picture->divided.assign(tiles, 0);
-    }
-    picture->width = camera.width;
-    picture->height = camera.height;
-  } else {
-    wanted.picked->resize(pixels);
-    picking.resize(2 * pixels);
-  }
-  layers.resize(request.layers.size());
-  for (std::size_t i = 0; i < layers.size(); ++i) {
-    setView(request.layers[i], request, layers[i]);
-  }
-  conics = std::any_of(layers.begin(), layers.end(),
-                       [](const SeenLayer& layer) { return !isEwa(layer.project.model); });
-  ordered = request.order.has_value();
-  if (ordered) setOrder(*request.layers.front().slots, *request.order);
-  pages.clear();
-  for (std::size_t i = 0; i < layers.size(); ++i) {
-    choosePages(request.layers[i], static_cast<std::uint32_t>(i));
-  }
+  begin(request);
+  makeRoom(request, wanted);
+  setViews(request);
   cull();
   if (cancelled()) return false;
   deal();
   lap("cull");
   openTiles(request);
   findDepthRanges();
-  std::vector<SplatPicture::OfLayer> of_layers(layers.size());
-  const bool blends = picture && !wanted.drawn;
   bool first = true, contributes = false;
   while (!waiting.empty()) {
     const DepthSlice slice = waiting.back();
@@ -181,56 +135,135 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
     lap("list");
     // Contributions need the colour behind a splat. After several slices they take a second run.
     contributes = wanted.contributions && (wanted.drawn || (first && waiting.empty()));
-    if (contributes) of_listed.reserve(total_pairs);
-    std::atomic<std::size_t> next{0};
-    team->run(unsigned(members.size()), [&](unsigned, unsigned number) {
-      Member& member = members[number];
-      try {
-        for (std::size_t tile; (tile = next++) < tiles && !cancelled();) {
-          sortTile(tile, member);
-          if (!picture) pick(request, *wanted.picked, first, tile, member);
-          if (blends && request.samples) blendSamples(request, *picture, first, tile, member);
-          if (blends && !request.samples) blend(request, *picture, first, tile, member);
-          if (contributes) contribute(request, *picture, first, tile, member);
-        }
-      } catch (const std::bad_alloc&) {
-        out_of_memory = true;
-      }
-    });
-    if (out_of_memory) throw std::bad_alloc();
+    drawTiles(request, wanted, first, contributes);
     if (cancelled()) return false;
-    if (contributes) addUp(*wanted.contributions);
     lap("blend");
     for (const StepShare& part : parts) {
-      for (std::size_t i = 0; i < layers.size(); ++i) of_layers[i].drawn += part.of_layers[i];
+      for (std::size_t i = 0; i < layers.size(); ++i) layers[i].drawn += part.of_layers[i];
     }
     first = false;
     // Beside the camera, nothing is known to be hidden.
     if (request.samples || request.lens) continue;
-    hides = hides || std::find(open.begin(), open.begin() + std::ptrdiff_t(tiles), kEnded) !=
-                         open.begin() + std::ptrdiff_t(tiles);
+    const auto end = open.begin() + std::ptrdiff_t(tiles);
+    hides = hides || std::find(open.begin(), end, kEnded) != end;
   }
-  if (blends) {
-    if (request.depth == PictureDepth::kMean && !request.samples) findMeanDepths(request, *picture);
-    if (request.depth == PictureDepth::kMean && request.samples) {
-      for (std::size_t i = 0; i < pixels; ++i) picture->depth[i] /= picture->colour[4 * i + 3];
-    }
-    if (request.depth == PictureDepth::kMedian) {
-      inParts(picture->depth.size(), 1 << 14, [&](const StepShare& part, Member&) {
-        for (std::size_t i = part.begin; i < part.end; ++i) {
-          if (picture->colour[4 * i + 3] >= 0.5f) continue;
-          picture->depth[i] = std::numeric_limits<float>::quiet_NaN();
-        }
-      });
-    }
-    for (std::size_t i = 0; i < layers.size(); ++i) of_layers[i].error = layers[i].error;
-    picture->layers = std::move(of_layers);
-    picture->profile = profile;
-  }
+  if (wanted.blends()) finish(request, *wanted.picture);
   if (wanted.contributions && !contributes && !first) {
-    return run(request, {picture, nullptr, wanted.contributions, true});
+    return run(request, {wanted.picture, nullptr, wanted.contributions, true});
   }
   return true;
+}
+
+// Takes the request's sizes, and refuses what does not fit them.
+void CpuRasterizer::Work::begin(const PictureRequest& request) {
+  cancel = request.cancelled;
+  out_of_memory = false;
+  profile.clear();
+  began = Clock::now();
+  const SplatCamera& camera = request.layers.front().camera;
+  checkSize(camera);
+  across = (camera.width + kTile - 1) / kTile;
+  down = (camera.height + kTile - 1) / kTile;
+  tiles = std::size_t(across) * std::size_t(down);
+  if (request.samples) checkSamples(request, tiles);
+  if (request.lens) checkLens(request);
+  pixels = request.samples ? request.samples->x.size
+                           : std::size_t(camera.width) * std::size_t(camera.height);
+  checkPixels(request, pixels);
+}
+
+// Makes room for what is wanted.
+void CpuRasterizer::Work::makeRoom(const PictureRequest& request, const Wanted& wanted) {
+  ends_at = wanted.contributions ? kLeastSeen : kTransparent;
+  if (wanted.contributions) {
+    remaining.resize(4 * pixels);
+    const std::size_t capacity = request.layers.front().map->capacity;
+    for (std::vector<float>* sums :
+         {&wanted.contributions->weight, &wanted.contributions->energy,
+          &wanted.contributions->error, &wanted.contributions->residual}) {
+      sums->resize(capacity);
+    }
+  }
+  if (!wanted.picture) {
+    wanted.picked->resize(pixels);
+    picking.resize(2 * pixels);
+    return;
+  }
+  SplatPicture& picture = *wanted.picture;
+  const SplatCamera& camera = request.layers.front().camera;
+  const bool kept = picture.width == camera.width && picture.height == camera.height;
+  picture.width = picture.height = 0;  // in case there is no memory for all of the picture
+  picture.colour.resize(4 * pixels);
+  picture.depth.resize(request.depth == PictureDepth::kNone ? 0 : pixels);
+  picture.tiles.resize(request.depth == PictureDepth::kMean && !request.samples ? tiles : 0);
+  const std::size_t divided = request.translucent_depth.empty() ? 0 : pixels;
+  if (!kept || picture.behind.size() != 4 * divided) {
+    picture.behind.assign(4 * divided, 0.0f);
+    picture.nearness.assign(2 * divided, 0.0f);
+    picture.divided.assign(tiles, 0);
+  }
+  picture.width = camera.width;
+  picture.height = camera.height;
+}
+
+// Sees all layers by their cameras, and chooses the pages that may show.
+void CpuRasterizer::Work::setViews(const PictureRequest& request) {
+  layers.resize(request.layers.size());
+  for (std::size_t i = 0; i < layers.size(); ++i) {
+    setView(request.layers[i], request, layers[i]);
+  }
+  conics = std::any_of(layers.begin(), layers.end(),
+                       [](const SeenLayer& layer) { return !isEwa(layer.project.model); });
+  ordered = request.order.has_value();
+  if (ordered) setOrder(*request.layers.front().slots, *request.order);
+  pages.clear();
+  for (std::size_t i = 0; i < layers.size(); ++i) {
+    choosePages(request.layers[i], static_cast<std::uint32_t>(i));
+  }
+}
+
+// Draws the slice that is listed, tile by tile.
+void CpuRasterizer::Work::drawTiles(const PictureRequest& request, const Wanted& wanted, bool first,
+                                    bool contributes) {
+  if (contributes) of_listed.reserve(total_pairs);
+  std::atomic<std::size_t> next{0};
+  team->run(unsigned(members.size()), [&](unsigned, unsigned number) {
+    Member& member = members[number];
+    try {
+      for (std::size_t tile; (tile = next++) < tiles && !cancelled();) {
+        sortTile(tile, member);
+        if (!wanted.picture) pick(request, *wanted.picked, first, tile, member);
+        if (wanted.blends()) {
+          const auto draw = request.samples ? &Work::blendSamples : &Work::blend;
+          (this->*draw)(request, *wanted.picture, first, tile, member);
+        }
+        if (contributes) contribute(request, *wanted.picture, first, tile, member);
+      }
+    } catch (const std::bad_alloc&) {
+      out_of_memory = true;
+    }
+  });
+  if (out_of_memory) throw std::bad_alloc();
+  if (contributes && !cancelled()) addUp(*wanted.contributions);
+}
+
+// Makes depths of what was summed up, and tells what the layers drew.
+void CpuRasterizer::Work::finish(const PictureRequest& request, SplatPicture& picture) {
+  if (request.depth == PictureDepth::kMean && !request.samples) findMeanDepths(request, picture);
+  if (request.depth == PictureDepth::kMean && request.samples) {
+    for (std::size_t i = 0; i < pixels; ++i) picture.depth[i] /= picture.colour[4 * i + 3];
+  }
+  if (request.depth == PictureDepth::kMedian) {
+    inParts(picture.depth.size(), 1 << 14, [&](const StepShare& part, Member&) {
+      for (std::size_t i = part.begin; i < part.end; ++i) {
+        if (picture.colour[4 * i + 3] >= 0.5f) continue;
+        picture.depth[i] = std::numeric_limits<float>::quiet_NaN();
+      }
+    });
+  }
+  picture.layers.clear();
+  for (const SeenLayer& layer : layers) picture.layers.push_back({layer.drawn, layer.error});
+  picture.profile = profile;
 }
 
 CpuRasterizer::CpuRasterizer(std::shared_ptr<ThreadTeam> team, Instructions instructions)

@@ -19,6 +19,7 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, const PictureReques
   if (request.samples) of_pages.near_clip = -camera.far_clip;  // the lens clips single splats
   seen.groups = seenGroups(of_pages, layer.slots->index().groups(), box);
   seen.error = layer.levels ? layer.error : 0;
+  seen.drawn = 0;
   // All groups share this; SeenGroup has each group's pose.
   const SortView view = sortView(camera, {}, 1.0);
   CullView& c = seen.cull;

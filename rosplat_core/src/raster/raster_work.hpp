@@ -63,6 +63,7 @@ struct SeenLayer {
   ProjectView project;
   std::size_t channel = 0;  // index in HostSlots::Page::channels
   double error = 0;         // [px]
+  std::size_t drawn = 0;    // splats and nodes
 };
 
 // A page that the picture may show.
@@ -131,9 +132,14 @@ struct CpuRasterizer::Work {
     std::vector<std::uint32_t>* picked = nullptr;  // Record::index, kNoSlot where there is none
     Contributions* contributions = nullptr;
     bool drawn = false;  // `picture` is drawn already; only contributions are to be found
+
+    bool blends() const { return picture && !drawn; }
   };
 
   bool run(const PictureRequest& request, const Wanted& wanted);
+  void begin(const PictureRequest& request);
+  void makeRoom(const PictureRequest& request, const Wanted& wanted);
+  void setViews(const PictureRequest& request);
   void setView(const PictureLayer& layer, const PictureRequest& request, SeenLayer& seen);
   void setOrder(const HostSlots& slots, const ArrayView<std::uint32_t>& order);
   void choosePages(const PictureLayer& layer, std::uint32_t number);
@@ -148,6 +154,8 @@ struct CpuRasterizer::Work {
   void findTiles(const Footprint& footprint, std::uint32_t record, StepShare& part) const;
   bool project(const DepthSlice& slice);
   void list();
+  void drawTiles(const PictureRequest& request, const Wanted& wanted, bool first, bool contributes);
+  void finish(const PictureRequest& request, SplatPicture& picture);
   void findMeanDepths(const PictureRequest& request, SplatPicture& picture);
   void blend(const PictureRequest& request, SplatPicture& picture, bool first, std::size_t tile,
              Member& member);
@@ -206,7 +214,7 @@ struct CpuRasterizer::Work {
   ScratchBuffer<Listed> listed;
   std::vector<std::size_t> begins;  // where each tile's part of `listed` begins, and the end
   int across = 0, down = 0;         // tiles
-  std::size_t tiles = 0, total_pairs = 0;
+  std::size_t tiles = 0, pixels = 0, total_pairs = 0;
 
   const std::atomic<bool>* cancel = nullptr;
   std::atomic<bool> out_of_memory{false};
