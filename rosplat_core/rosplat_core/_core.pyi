@@ -144,6 +144,7 @@ def put_in_order(array: NDArray[np.generic], order: NDArray[np.int64]) -> None: 
 def payload_size(count: int, sh_degree: int) -> int: ...
 
 class PublishedBatch:
+    FIELDS: tuple[str, ...]  # that a message has alike
     stamp: tuple[int, int] | None
     map_id: str
     revision: int

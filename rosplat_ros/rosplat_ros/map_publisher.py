@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -412,14 +413,7 @@ def as_message(batch: PublishedBatch, header: Header) -> GaussianArray:
     x, y, z = batch.origin
     return GaussianArray(
         header=header,
-        map_id=batch.map_id,
-        revision=batch.revision,
-        operation=batch.operation,
-        expected_slots=batch.expected_slots,
-        first_slot=batch.first_slot,
-        count=batch.count,
-        slots=as_array("I", batch.slots),
-        group=batch.group,
+        origin=Point(x=x, y=y, z=z),
         groups=list(batch.poses),
         poses=[
             Pose(
@@ -428,14 +422,13 @@ def as_message(batch: PublishedBatch, header: Header) -> GaussianArray:
             )
             for p in batch.poses.values()
         ],
-        sh_degree=batch.sh_degree,
-        format=batch.format,
-        payload=as_array("B", batch.payload),
-        model=batch.model,
-        origin=Point(x=x, y=y, z=z),
-        channel_names=batch.channel_names,
-        channels=as_array("f", batch.channels),
+        **{name: _as_field(getattr(batch, name)) for name in batch.FIELDS},
     )
+
+
+def _as_field(value: Any) -> Any:
+    """A value as messages take it."""
+    return as_array(value.dtype.char, value) if isinstance(value, np.ndarray) else value
 
 
 def _in_short(slots: NDArray[np.uint32]) -> Slots:

@@ -7,6 +7,7 @@
 #include <rosplat_msgs/srv/repeat_map.hpp>
 #include <string>
 #include <thread>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -39,31 +40,30 @@ geometry_msgs::msg::Pose messageOf(const Pose& pose) {
   return message;
 }
 
+// Copies only where a message's array is of another type, as Lyrical's uint8[] is.
+template <typename To, typename From>
+void assign(To& to, From&& from) {
+  if constexpr (std::is_assignable_v<To&, From&&>) {
+    to = std::forward<From>(from);
+  } else {
+    to.assign(from.begin(), from.end());
+  }
+}
+
 Message messageOf(PublishedMap::Batch&& batch, const std::string& frame_id, rclcpp::Clock& clock) {
   const Stamp stamp = batch.stamp ? *batch.stamp : Stamp(clock.now());
   Message message;
   message.header.frame_id = frame_id;
   message.header.stamp.sec = stamp.sec;
   message.header.stamp.nanosec = stamp.nanosec;
-  message.map_id = std::move(batch.map_id);
-  message.revision = batch.revision;
-  message.operation = batch.operation;
-  message.expected_slots = batch.expected_slots;
-  message.first_slot = batch.first_slot;
-  message.count = batch.count;
-  message.slots = std::move(batch.slots);
-  message.group = batch.group;
+#define WRITE(field) assign(message.field, std::move(batch.field));
+  ROSPLAT_BATCH_FIELDS(WRITE)
+#undef WRITE
+  std::tie(message.origin.x, message.origin.y, message.origin.z) = std::tuple_cat(batch.origin);
   for (const auto& [group, pose] : batch.poses) {
     message.groups.push_back(group);
     message.poses.push_back(messageOf(pose));
   }
-  message.sh_degree = static_cast<std::uint8_t>(batch.sh_degree);
-  message.format = std::move(batch.format);
-  message.payload.assign(batch.payload.begin(), batch.payload.end());
-  message.model = static_cast<std::uint8_t>(batch.model);
-  std::tie(message.origin.x, message.origin.y, message.origin.z) = std::tuple_cat(batch.origin);
-  message.channel_names = std::move(batch.channel_names);
-  message.channels = std::move(batch.channels);
   return message;
 }
 
@@ -102,7 +102,7 @@ class ServiceThread {
 
 }  // namespace
 
-PublishedMap::Wire MapPublisher::wireOf(Interfaces node, const MapOptions& options,
+PublishedMap::Wire MapPublisher::wireOf(NodeInterfaces node, const MapOptions& options,
                                         const std::shared_ptr<std::atomic<bool>>& closing) {
   // From the last batch a late joiner learns of the map. The others are for subscribers that lag.
   const auto qos = rclcpp::QoS(8).reliable().transient_local();
@@ -136,7 +136,7 @@ PublishedMap::Wire MapPublisher::wireOf(Interfaces node, const MapOptions& optio
 
 class MapPublisher::Services {
  public:
-  Services(const Interfaces& node, const MapOptions& options, PublishedMap& map)
+  Services(const NodeInterfaces& node, const MapOptions& options, PublishedMap& map)
       : pulling_(node.base), repeating_(node.base) {
     const rclcpp::Logger logger = node.logging->get_logger();
     const std::string name = node.topics->resolve_topic_name(options.topic);
@@ -187,7 +187,7 @@ class MapPublisher::Services {
   ServiceThread pulling_, repeating_;  // a repeat waits for subscribers, which pull meanwhile
 };
 
-MapPublisher::MapPublisher(const Interfaces& node, const MapOptions& options,
+MapPublisher::MapPublisher(const NodeInterfaces& node, const MapOptions& options,
                            const std::shared_ptr<std::atomic<bool>>& closing)
     : PublishedMap(options.chunk_bytes, options.compression, wireOf(node, options, closing)),
       closing_(closing),

@@ -50,7 +50,7 @@ Pull::Labelled labelled(std::shared_ptr<const Message> message) {
 // spins the group.
 class MapReceiver::Listener {
  public:
-  Listener(const Interfaces& node, OnBatch on_batch, const ReceiverOptions& options)
+  Listener(const NodeInterfaces& node, OnBatch on_batch, const ReceiverOptions& options)
       : node_(node),
         on_batch_(std::move(on_batch)),
         options_(options),
@@ -235,7 +235,7 @@ class MapReceiver::Listener {
     act(pull_.answer(number, std::move(batches), response->next_block, now(), served()));
   }
 
-  Interfaces node_;
+  NodeInterfaces node_;
   const OnBatch on_batch_;
   ReceiverOptions options_;
   const rclcpp::Logger logger_;
@@ -253,7 +253,8 @@ class MapReceiver::Listener {
   rclcpp::TimerBase::SharedPtr watch_, tick_;
 };
 
-MapReceiver::MapReceiver(const Interfaces& node, OnBatch on_batch, const ReceiverOptions& options)
+MapReceiver::MapReceiver(const NodeInterfaces& node, OnBatch on_batch,
+                         const ReceiverOptions& options)
     : listener_(std::make_unique<Listener>(node, std::move(on_batch), options)) {}
 
 MapReceiver::~MapReceiver() = default;

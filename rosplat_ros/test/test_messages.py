@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from std_msgs.msg import Header
 
+from rosplat_core._core import PublishedBatch
 from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
@@ -137,3 +138,10 @@ def test_where_a_payload_would_lose_places_arrays_go(random_splats: Maker) -> No
     message = compressed(splats)
     assert not message.format
     np.testing.assert_array_equal(decode(message)[1].positions, splats.positions)
+
+
+def test_batches_have_all_fields_of_their_message() -> None:
+    converted = {"header", "origin", "groups", "poses"}
+    received = {"positions", "orientations", "scales", "opacities", "sh"}
+    fields = set(GaussianArray.get_fields_and_field_types())
+    assert fields == {*PublishedBatch.FIELDS, *converted, *received}

@@ -364,8 +364,8 @@ Batch PublishedMap::batch(std::uint8_t operation, const When& stamp) const {
 
 Batch PublishedMap::beginning(const When& stamp) const {
   Batch beginning = batch(GaussianBatch::REPLACE, stamp);
-  beginning.sh_degree = map_->shDegree();
-  beginning.model = map_->model();
+  beginning.sh_degree = static_cast<std::uint8_t>(map_->shDegree());
+  beginning.model = static_cast<std::uint8_t>(map_->model());
   return beginning;
 }
 
@@ -377,10 +377,10 @@ Batch PublishedMap::writing(std::uint8_t operation, const NamedSlots& slots, std
   writing.count = static_cast<std::uint32_t>(slots.size());
   writing.slots = slots.list();
   writing.group = group;
-  writing.sh_degree = sh_degree;
+  writing.sh_degree = static_cast<std::uint8_t>(sh_degree);
   writing.channel_names = channels;
   writing.channels = map_->readChannels(slots, channels);
-  writing.model = map_->model();
+  writing.model = static_cast<std::uint8_t>(map_->model());
   writing.origin = map_->originOf(group);
   if (slots.empty()) return writing;
   if (compression_ == payload::kFormat && quantise(slots, writing)) return writing;

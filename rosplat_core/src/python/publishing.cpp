@@ -97,7 +97,12 @@ Array<T> arrayOf(const py::object& batch, const std::vector<T>& values) {
 }
 
 template <typename T>
-void defineArray(py::class_<Batch>& type, const char* name, std::vector<T> Batch::* values) {
+void defineField(py::class_<Batch>& type, const char* name, T BatchHead::* value) {
+  type.def_readonly(name, value);
+}
+
+template <typename T>
+void defineField(py::class_<Batch>& type, const char* name, std::vector<T> Batch::* values) {
   type.def_property_readonly(name, [values](const py::object& self) {
     return arrayOf(self, self.cast<const Batch&>().*values);
   });
@@ -105,27 +110,19 @@ void defineArray(py::class_<Batch>& type, const char* name, std::vector<T> Batch
 
 void defineBatch(py::module_& module) {
   py::class_<Batch> type(module, "PublishedBatch", "The fields of a GaussianArray, flat.");
-  type.def_property_readonly("stamp",
-                             [](const Batch& batch) -> Time {
-                               if (!batch.stamp) return std::nullopt;
-                               return std::pair(batch.stamp->sec, batch.stamp->nanosec);
-                             })
-      .def_readonly("map_id", &Batch::map_id)
-      .def_readonly("revision", &Batch::revision)
-      .def_readonly("operation", &Batch::operation)
-      .def_readonly("expected_slots", &Batch::expected_slots)
-      .def_readonly("first_slot", &Batch::first_slot)
-      .def_readonly("count", &Batch::count)
-      .def_readonly("group", &Batch::group)
+  py::list names;
+#define DEFINE(field)                       \
+  defineField(type, #field, &Batch::field); \
+  names.append(#field);
+  ROSPLAT_BATCH_FIELDS(DEFINE)
+#undef DEFINE
+  type.attr("FIELDS") = py::tuple(names);
+  type.def_readonly("origin", &Batch::origin)
       .def_property_readonly("poses", [](const Batch& batch) { return valuesOf(batch.poses); })
-      .def_readonly("sh_degree", &Batch::sh_degree)
-      .def_readonly("format", &Batch::format)
-      .def_property_readonly("model", [](const Batch& batch) { return int(batch.model); })
-      .def_readonly("origin", &Batch::origin)
-      .def_readonly("channel_names", &Batch::channel_names);
-  defineArray(type, "slots", &Batch::slots);
-  defineArray(type, "payload", &Batch::payload);
-  defineArray(type, "channels", &Batch::channels);
+      .def_property_readonly("stamp", [](const Batch& batch) -> Time {
+        if (!batch.stamp) return std::nullopt;
+        return std::pair(batch.stamp->sec, batch.stamp->nanosec);
+      });
 }
 
 std::unique_ptr<PublishedMap> makeMap(std::size_t chunk_bytes, const std::string& compression,

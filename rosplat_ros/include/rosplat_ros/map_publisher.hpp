@@ -10,6 +10,7 @@
 #include <string>
 
 #include "rosplat_core/map/published_map.hpp"
+#include "rosplat_ros/node_interfaces.hpp"
 
 namespace rosplat {
 
@@ -34,11 +35,7 @@ class MapPublisher : public PublishedMap {
   // the same interfaces.
   template <typename Node>
   explicit MapPublisher(Node& node, const MapOptions& options = {})
-      : MapPublisher(Interfaces{node.get_node_base_interface(), node.get_node_topics_interface(),
-                                node.get_node_parameters_interface(),
-                                node.get_node_services_interface(), node.get_node_graph_interface(),
-                                node.get_node_clock_interface(), node.get_node_logging_interface()},
-                     options, std::make_shared<std::atomic<bool>>(false)) {}
+      : MapPublisher(NodeInterfaces(node), options, std::make_shared<std::atomic<bool>>(false)) {}
   ~MapPublisher();
 
   // Places groups in the map's frame. A group that was never placed is at the identity.
@@ -47,19 +44,9 @@ class MapPublisher : public PublishedMap {
 
  private:
   class Services;
-  struct Interfaces {
-    rclcpp::node_interfaces::NodeBaseInterface::SharedPtr base;
-    rclcpp::node_interfaces::NodeTopicsInterface::SharedPtr topics;
-    rclcpp::node_interfaces::NodeParametersInterface::SharedPtr parameters;
-    rclcpp::node_interfaces::NodeServicesInterface::SharedPtr services;
-    rclcpp::node_interfaces::NodeGraphInterface::SharedPtr graph;
-    rclcpp::node_interfaces::NodeClockInterface::SharedPtr clock;
-    rclcpp::node_interfaces::NodeLoggingInterface::SharedPtr logging;
-  };
-
-  MapPublisher(const Interfaces& node, const MapOptions& options,
+  MapPublisher(const NodeInterfaces& node, const MapOptions& options,
                const std::shared_ptr<std::atomic<bool>>& closing);
-  static Wire wireOf(Interfaces node, const MapOptions& options,
+  static Wire wireOf(NodeInterfaces node, const MapOptions& options,
                      const std::shared_ptr<std::atomic<bool>>& closing);
 
   const std::shared_ptr<std::atomic<bool>> closing_;  // true: repeat() waits no longer

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "rosplat_core/map/gaussian_batch.hpp"
+#include "rosplat_ros/node_interfaces.hpp"
 
 namespace rosplat {
 
@@ -64,11 +65,7 @@ class MapReceiver {
   // name.
   template <typename Node>
   MapReceiver(Node& node, OnBatch on_batch, const ReceiverOptions& options = {})
-      : MapReceiver(Interfaces{node.get_node_base_interface(), node.get_node_topics_interface(),
-                               node.get_node_parameters_interface(),
-                               node.get_node_services_interface(), node.get_node_graph_interface(),
-                               node.get_node_timers_interface(), node.get_node_logging_interface()},
-                    std::move(on_batch), options) {}
+      : MapReceiver(NodeInterfaces(node), std::move(on_batch), options) {}
   ~MapReceiver();
 
   Report report() const;  // for any thread
@@ -82,17 +79,7 @@ class MapReceiver {
 
  private:
   class Listener;
-  struct Interfaces {
-    rclcpp::node_interfaces::NodeBaseInterface::SharedPtr base;
-    rclcpp::node_interfaces::NodeTopicsInterface::SharedPtr topics;
-    rclcpp::node_interfaces::NodeParametersInterface::SharedPtr parameters;
-    rclcpp::node_interfaces::NodeServicesInterface::SharedPtr services;
-    rclcpp::node_interfaces::NodeGraphInterface::SharedPtr graph;
-    rclcpp::node_interfaces::NodeTimersInterface::SharedPtr timers;
-    rclcpp::node_interfaces::NodeLoggingInterface::SharedPtr logging;
-  };
-
-  MapReceiver(const Interfaces& node, OnBatch on_batch, const ReceiverOptions& options);
+  MapReceiver(const NodeInterfaces& node, OnBatch on_batch, const ReceiverOptions& options);
 
   std::unique_ptr<Listener> listener_;
 };

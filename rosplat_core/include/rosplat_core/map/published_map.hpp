@@ -12,6 +12,7 @@
 #include <utility>
 #include <vector>
 
+#include "rosplat_core/map/gaussian_batch.hpp"
 #include "rosplat_core/map/groups.hpp"
 #include "rosplat_core/slots/splats.hpp"
 
@@ -50,24 +51,13 @@ class PublishedMap {
   using Poses = std::map<std::uint32_t, Pose>;  // by group
   using When = std::optional<Stamp>;            // none: now
 
-  // The fields of a rosplat_msgs/GaussianArray without its frame. Its payload and slots take at
-  // most chunk_bytes, or the bytes of one splat; those of a MOVE 60 bytes a group.
-  struct Batch {
+  // A batch to send. Its payload and slots take at most chunk_bytes, or the bytes of one splat;
+  // those of a MOVE 60 bytes a group.
+  struct Batch : BatchHead {
     When stamp;
-    std::string map_id;
-    std::uint64_t revision = 0;
-    std::uint8_t operation = 0;  // GaussianBatch's
-    std::uint32_t expected_slots = 0;
-    std::uint32_t first_slot = 0, count = 0;
     Slots slots;
-    std::uint32_t group = 0;
     Poses poses;
-    std::string format;
     std::vector<std::uint8_t> payload;
-    int sh_degree = 0;
-    std::array<double, 3> origin{};
-    Model model = Model::kEwa;
-    std::vector<std::string> channel_names;
     std::vector<float> channels;
   };
   // How batches are sent.

@@ -58,28 +58,12 @@ inline SplatCamera cameraOf(const std::array<double, 3>& position,
 class ReadBatch {
  public:
   explicit ReadBatch(py::object message) : message_(std::move(message)) {
-    read("operation", batch_.operation);
-    read("first_slot", batch_.first_slot);
-    read("count", batch_.count);
-    read("slots", batch_.slots);
-    read("sh_degree", batch_.sh_degree);
-    read("model", batch_.model);
+#define READ(field) read(#field, batch_.field);
+    ROSPLAT_BATCH_FIELDS(READ)
+    ROSPLAT_RECEIVED_ARRAYS(READ)
+#undef READ
     if (py::hasattr(message_, "origin")) batch_.origin = pointOf(message_.attr("origin"));
-    read("positions", batch_.positions);
-    read("orientations", batch_.orientations);
-    read("scales", batch_.scales);
-    read("opacities", batch_.opacities);
-    read("sh", batch_.sh);
-    read("map_id", batch_.map_id);
-    read("revision", batch_.revision);
-    read("expected_slots", batch_.expected_slots);
-    read("format", batch_.format);
-    read("payload", batch_.payload);
-    read("group", batch_.group);
-    read("groups", batch_.groups);
     readPoses();
-    read("channel_names", batch_.channel_names);
-    read("channels", batch_.channels);
   }
 
   GaussianBatch& batch() { return batch_; }
