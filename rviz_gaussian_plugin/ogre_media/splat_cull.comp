@@ -9,7 +9,7 @@ shared uint words[8];
 
 bool mayBeSeen(Page page, uint slot) {
   float opacity = opacityUnit(page) * slotOpacity(slot);
-  if (!(opacity >= kCutoffAlpha) || !(map.opacity_modifier * opacity >= kCutoffAlpha)) return false;
+  if (!(opacity >= kCutoffAlpha) || !(map.opacity * opacity >= kCutoffAlpha)) return false;
   vec3 mean = slotPosition(slot);
   if (map.clip_to_box) {
     vec3 in_box = transformed(groups[page.group].to_box, mean);

@@ -135,7 +135,7 @@ Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
   Ellipse e = Ellipse(vec2(0.0), p.z, vec2(0.0), 0.0, vec3(0.0), 0.0, map.kind);
 #endif
   float trained_opacity = opacityUnit(page) * slotOpacity(slot);
-  float opacity = map.opacity_modifier * trained_opacity;
+  float opacity = map.opacity * trained_opacity;
   if (map.near_fade > 0.0) opacity *= min((p.z - view.clip.x) / map.near_fade, 1.0);
 
   // Rows of the projection's Jacobian; EWA's tangent is clamped as in training.
@@ -156,7 +156,7 @@ Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
   }
 
   // Covariance in the picture: rows of J W R S times their transposes.
-  vec3 scale = map.scale_modifier * slotScale(slot);
+  vec3 scale = map.scale * slotScale(slot);
 #ifdef RAYS
   if (map.model == kDisc && page.level == kNone) scale.z = 0.0;  // nodes have three scales
 #endif

@@ -345,7 +345,14 @@ void defineRendering(py::module_& module) {
           [](RenderSettings& s, const std::string& text) { s.detail = parseDetail(text); })
       .def_readwrite("clip_box", &RenderSettings::clip_box)
       .def_readwrite("near_fade", &RenderSettings::near_fade)
-      .def_readwrite("depth_range", &RenderSettings::depth_range)
+      .def_property(
+          "depth_range",
+          [](const RenderSettings& s) {
+            return std::pair(s.depth_range.least, s.depth_range.most);
+          },
+          [](RenderSettings& s, const std::pair<float, float>& range) {
+            s.depth_range = {range.first, range.second};
+          })
       .def_readwrite("age_range", &RenderSettings::age_range)
       .def_readwrite("channel", &RenderSettings::channel)
       .def_readwrite("channel_colours", &RenderSettings::channel_colours)

@@ -317,8 +317,8 @@ ROSPLAT_INLINED Vec3 colourOf(const ProjectView& view, const GroupView& group,
                               const Vec3* orientation, Floats opacity) {
   if (view.mode == DrawMode::kOpacity) return turbo(opacity);
   if (view.mode == DrawMode::kDepth) {
-    const float range = view.depth_range[1] - view.depth_range[0];
-    return turbo(1.0f - (depth - view.depth_range[0]) / most(range, 1e-6f));
+    const float range = view.depth_range.most - view.depth_range.least;
+    return turbo(1.0f - (depth - view.depth_range.least) / most(range, 1e-6f));
   }
   if (view.mode == DrawMode::kAge) {
     Floats ticks = view.now - toFloats((Ints)(appearance[5] >> 16));
@@ -551,7 +551,7 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
     const Floats share =
         page.parents ? shareOf(view.cut, group.eye, mean, places.of(page.parents), page.own_cell)
                      : all(1.0f);
-    Floats opacity = view.opacity_modifier * trained_opacity;
+    Floats opacity = view.opacity * trained_opacity;
     if (view.near_fade > 0.0f) {
       const Floats from_eye = view.through_lens ? sqrt(dot(p, p)) : p.z;
       opacity *= min((from_eye - view.near_clip) / view.near_fade, all(1.0f));
@@ -583,7 +583,7 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
     // Covariance in the picture: rows of J W R S times their transposes.
     Vec3 scale = {scaleOf(appearance[0] >> 16), scaleOf(appearance[1] & 0xffffu),
                   scaleOf(appearance[1] >> 16)};
-    scale = all(view.scale_modifier) * scale;
+    scale = all(view.scale) * scale;
     if (kConic && view.model == Model::kDisc && page.own_cell == 0.0f) scale.z = Floats{};
     if (view.mode == DrawMode::kBillboard) {
       scale.x = scale.y = scale.z = (scale.x + scale.y + scale.z) / 3.0f;

@@ -9,6 +9,7 @@
 #include "rosplat_core/raster/picture_depth.hpp"
 #include "rosplat_core/slots/constants.hpp"
 #include "rosplat_core/views/group_view.hpp"
+#include "rosplat_core/views/splat_settings.hpp"
 
 namespace rosplat::cpu {
 
@@ -69,17 +70,15 @@ struct PageSlots {
 };
 
 // The uniforms of splat_project.comp.
-struct ProjectView {
+struct ProjectView : SplatSettings {
   float fx, fy, cx, cy, width, height;  // [px]
   float least_tangent[2], most_tangent[2];
-  float near_clip, near_fade;
+  float near_clip;
   float ndc_scale, ndc_offset;
-  float scale_modifier, opacity_modifier, now, age_range;
-  float depth_range[2];
+  float now;
   float channel_least, channel_most, channel_per_range;
   ChannelKind channel_colours;
-  DrawMode mode;
-  int sh_degree, only_band;
+  int sh_degree;
   bool orthographic;
   bool through_lens;  // splats beside and behind the camera count, too
   LensCurve lens;

@@ -164,11 +164,11 @@ bool CpuRasterizer::Work::project(const DepthSlice& slice) {
 void CpuRasterizer::Work::findDepthRanges() {
   const auto wants = [](const SeenLayer& layer) {
     const ProjectView& view = layer.project;
-    return view.mode == DrawMode::kDepth && !(view.depth_range[1] > view.depth_range[0]);
+    return view.mode == DrawMode::kDepth && view.depth_range.empty();
   };
   if (std::none_of(layers.begin(), layers.end(), wants)) return;
   constexpr float kInfinity = std::numeric_limits<float>::infinity();
-  std::array<float, 2> range{kInfinity, -kInfinity};
+  Range range{kInfinity, -kInfinity};
   for (std::size_t number = 0; number < waiting.size();) {
     const DepthSlice slice = waiting[number];
     if (!project(slice) && slice.end - slice.begin > 1 && !cancelled()) {
@@ -179,12 +179,12 @@ void CpuRasterizer::Work::findDepthRanges() {
     for (const StepShare& part : parts) {
       for (std::size_t i = part.begin; i < part.begin + part.drawn; ++i) {
         if (!wants(layers[pages[records[i].index / kSlots].layer])) continue;
-        range = {std::min(range[0], records[i].depth), std::max(range[1], records[i].depth)};
+        range = {std::min(range.least, records[i].depth), std::max(range.most, records[i].depth)};
       }
     }
   }
   for (SeenLayer& layer : layers) {
-    if (wants(layer)) std::copy_n(range.begin(), 2, layer.project.depth_range);
+    if (wants(layer)) layer.project.depth_range = range;
   }
 }
 

@@ -50,6 +50,7 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, const PictureReques
   for (int i = 0; i < 3; ++i) c.half_box[i] = 0.5f * box.size[i];
 
   ProjectView& p = seen.project;
+  static_cast<SplatSettings&>(p) = settings;
   p.fx = view.fx;
   p.fy = view.fy;
   p.cx = static_cast<float>(camera.cx);
@@ -65,24 +66,16 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, const PictureReques
   tangents(0, camera.fx, whole.cx, whole.width);
   tangents(1, camera.fy, whole.cy, whole.height);
   p.near_clip = view.near_clip;
-  p.near_fade = settings.near_fade;
   p.ndc_scale = static_cast<float>(camera.ndc_scale);
   p.ndc_offset = static_cast<float>(camera.ndc_offset);
-  p.scale_modifier = settings.scale;
-  p.opacity_modifier = settings.opacity;
   p.now = static_cast<float>(request.now);
-  p.age_range = settings.age_range;
   const ChannelColouring channel = colouringOf(layer.map->channels, settings);
   seen.channel = channel.channel;
   p.channel_colours = channel.kind;
   p.channel_least = channel.least;
   p.channel_most = channel.most;
   p.channel_per_range = channel.per_range;
-  p.depth_range[0] = settings.depth_range[0];
-  p.depth_range[1] = settings.depth_range[1];
-  p.mode = settings.mode;
   p.sh_degree = std::min(layer.slots->shDegree(), settings.max_sh_degree);
-  p.only_band = settings.only_band;
   p.orthographic = camera.orthographic;
   p.through_lens = c.through_lens;
   p.lens = {};

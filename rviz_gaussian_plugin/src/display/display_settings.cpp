@@ -23,12 +23,15 @@ using namespace rviz_common::properties;
 
 constexpr int kAsPublished = -1;
 
+}  // namespace
+
 // A text that is no option, as of an older configuration, becomes the preset.
 template <typename Value>
-EnumProperty* choice(const char* name, const char* preset, const char* description,
-                     Property* parent,
-                     std::initializer_list<std::pair<std::string, Value>> options) {
-  auto* property = new EnumProperty(name, preset, description, parent);
+EnumProperty* DisplaySettings::choice(const char* name, const char* preset, const char* description,
+                                      Property* parent,
+                                      std::initializer_list<std::pair<std::string, Value>> options,
+                                      Value RenderSettings::* field) {
+  auto* property = added(new EnumProperty(name, preset, description, parent));
   QStringList known;
   for (const auto& [text, value] : options) {
     known << QString::fromStdString(text);
@@ -37,17 +40,39 @@ EnumProperty* choice(const char* name, const char* preset, const char* descripti
   QObject::connect(property, &Property::changed, property, [property, preset, known] {
     if (!known.contains(property->getString())) property->setString(preset);
   });
+  if (field) {
+    reads_.push_back([property, field](RenderSettings& settings) {
+      settings.*field = static_cast<Value>(property->getOptionInt());
+    });
+  }
   return property;
 }
 
-FloatProperty* number(const char* name, float preset, const char* description, Property* parent,
-                      float least) {
-  auto* property = new FloatProperty(name, preset, description, parent);
+FloatProperty* DisplaySettings::number(const char* name, float preset, const char* description,
+                                       Property* parent, float least,
+                                       float RenderSettings::* field) {
+  auto* property = added(new FloatProperty(name, preset, description, parent));
   property->setMin(least);
+  if (field) {
+    reads_.push_back([=](RenderSettings& settings) { settings.*field = property->getFloat(); });
+  }
   return property;
 }
 
-}  // namespace
+BoolProperty* DisplaySettings::flag(const char* name, bool preset, const char* description,
+                                    Property* parent, bool RenderSettings::* field) {
+  auto* property = added(new BoolProperty(name, preset, description, parent));
+  if (field) {
+    reads_.push_back([=](RenderSettings& settings) { settings.*field = property->getBool(); });
+  }
+  return property;
+}
+
+template <typename Added>
+Added* DisplaySettings::added(Added* property) {
+  properties_.push_back(property);
+  return property;
+}
 
 DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_change) {
   mode_ = choice<DrawMode>("Draw Mode", "Color", "What a splat is drawn as.", display,
@@ -59,18 +84,19 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
                             {"Normals", DrawMode::kNormals},
                             {"Opacity", DrawMode::kOpacity},
                             {"Age", DrawMode::kAge},
-                            {"Channel", DrawMode::kChannel}});
-  auto_range_ = new BoolProperty("Auto Range", true,
-                                 "Colour from the nearest to the farthest splat drawn.", mode_);
+                            {"Channel", DrawMode::kChannel}},
+                           &RenderSettings::mode);
+  auto_range_ =
+      flag("Auto Range", true, "Colour from the nearest to the farthest splat drawn.", mode_);
   nearest_ = number("Nearest", 0.0f, "Depth that is drawn red. [m]", mode_, 0.0f);
   farthest_ = number("Farthest", 10.0f, "Depth that is drawn blue. [m]", mode_, 0.0f);
-  age_range_ =
-      number("Age Range", 10.0f, "Time after which a slot is drawn as old. [s]", mode_, 0.001f);
-  channel_ = new EditableEnumProperty(
+  age_range_ = number("Age Range", 10.0f, "Time after which a slot is drawn as old. [s]", mode_,
+                      0.001f, &RenderSettings::age_range);
+  channel_ = added(new EditableEnumProperty(
       "Channel", "",
       "The channel that colours the splats; empty: the map's first. Splats without a value are "
       "grey. Levels of detail have no channels, so all splats are drawn.",
-      mode_);
+      mode_));
   channel_colours_ = choice<ChannelColours>(
       "Colors", "Auto",
       "Categories: each integer has a colour of its own. Gradient: blue to red. Auto: Categories "
@@ -78,39 +104,42 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
       mode_,
       {{"Auto", ChannelColours::kAuto},
        {"Categories", ChannelColours::kCategories},
-       {"Gradient", ChannelColours::kGradient}});
-  auto_bounds_ =
-      new BoolProperty("Autocompute Value Bounds", true,
-                       "Colour from the least to the greatest value since the map began.", mode_);
-  least_value_ = new FloatProperty("Min Value", 0.0f, "Value that is drawn blue.", mode_);
-  most_value_ = new FloatProperty("Max Value", 1.0f, "Value that is drawn red.", mode_);
-  detail_ =
+       {"Gradient", ChannelColours::kGradient}},
+      &RenderSettings::channel_colours);
+  auto_bounds_ = flag("Autocompute Value Bounds", true,
+                      "Colour from the least to the greatest value since the map began.", mode_);
+  least_value_ = added(new FloatProperty("Min Value", 0.0f, "Value that is drawn blue.", mode_));
+  most_value_ = added(new FloatProperty("Max Value", 1.0f, "Value that is drawn red.", mode_));
+  detail_ = added(
       new EditableEnumProperty("Detail", "Full",
                                "How much of the map is drawn. Full: every splat. An error (2 px): "
                                "splats within that width may be one Gaussian. A budget (1M): at "
                                "most so many Gaussians.",
-                               display);
+                               display));
   for (const char* example : {"Full", "1 px", "2 px", "4 px", "1M"}) {
     detail_->addOptionStd(example);
   }
-  alpha_ = number("Alpha", 1.0f, "Multiplies the opacity of every splat.", display, 0.0f);
-  alpha_->setMax(1.0f);
-  scale_ = number("Scale", 1.0f, "Multiplies the size of every splat.", display, 0.0f);
-  sh_degree_ = choice<int>(
+  number("Alpha", 1.0f, "Multiplies the opacity of every splat.", display, 0.0f,
+         &RenderSettings::opacity)
+      ->setMax(1.0f);
+  number("Scale", 1.0f, "Multiplies the size of every splat.", display, 0.0f,
+         &RenderSettings::scale);
+  Property* const sh_degree = choice<int>(
       "SH Degree", "3",
       "Highest band of spherical harmonics to evaluate; 0 leaves out view-dependent colour.",
-      display, {{"0", 0}, {"1", 1}, {"2", 2}, {"3", 3}});
-  sh_band_ = choice<int>("SH Band", "All", "Draw a single band of spherical harmonics alone.",
-                         sh_degree_, {{"All", -1}, {"0", 0}, {"1", 1}, {"2", 2}, {"3", 3}});
-  order_ = choice<OrderSource>(
+      display, {{"0", 0}, {"1", 1}, {"2", 2}, {"3", 3}}, &RenderSettings::max_sh_degree);
+  choice<int>("SH Band", "All", "Draw a single band of spherical harmonics alone.", sh_degree,
+              {{"All", -1}, {"0", 0}, {"1", 1}, {"2", 2}, {"3", 3}}, &RenderSettings::only_band);
+  choice<OrderSource>(
       "Order Source", "Auto",
       "Which depth order is drawn. Auto: the rasterizer's own. Sidecar: the sorter's, while it "
       "answers in time. Off: the order of the slots, which shows what sorting is for.",
       display,
       {{"Auto", OrderSource::kAuto},
        {"Sidecar", OrderSource::kSidecar},
-       {"Off", OrderSource::kOff}});
-  rasterizer_ = choice<Rasterizer>(
+       {"Off", OrderSource::kOff}},
+      &RenderSettings::order);
+  Property* const rasterizer = choice<Rasterizer>(
       "Rasterizer", "Auto",
       "What draws the splats. Tiles: the graphics card. Processor: vector instructions, in a "
       "thread beside rviz, which shows the newest finished picture. Auto: Tiles if there is a "
@@ -118,11 +147,12 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
       display,
       {{"Auto", Rasterizer::kAuto},
        {"Tiles", Rasterizer::kTiles},
-       {"Processor", Rasterizer::kProcessor}});
-  profile_ = new BoolProperty("Profile", false,
-                              "Show the time of each stage of a frame in the Status. Frames then "
-                              "wait for the graphics card.",
-                              rasterizer_);
+       {"Processor", Rasterizer::kProcessor}},
+      &RenderSettings::rasterizer);
+  flag("Profile", false,
+       "Show the time of each stage of a frame in the Status. Frames then "
+       "wait for the graphics card.",
+       rasterizer, &RenderSettings::profile);
   model_ =
       choice<int>("Model", "As Published",
                   "How splats become pixels. EWA: flattened onto the picture. EWA Antialiased: "
@@ -134,40 +164,27 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
                    {nameOf(Model::kEwaAntialiased), int(Model::kEwaAntialiased)},
                    {nameOf(Model::kRay), int(Model::kRay)},
                    {nameOf(Model::kDisc), int(Model::kDisc)}});
-  float_blending_ = new BoolProperty(
-      "Float Blending", false,
-      "Keep pictures in 32-bit instead of 16-bit floats. Tiles blend in 32 bits either way; the "
-      "processor always keeps 32.",
-      display);
-  near_fade_ = number("Near Fade", 0.0f, "Splats closer than this to the near plane fade out. [m]",
-                      display, 0.0f);
-  clip_ = new BoolProperty("Clip Box", false, "Draw only splats whose mean is in a box.", display);
-  clip_centre_ = new VectorProperty("Center", Ogre::Vector3::ZERO,
-                                    "Centre of the box in the map's frame. [m]", clip_);
-  clip_size_ = new VectorProperty("Size", Ogre::Vector3(1, 1, 1),
-                                  "Size of the box along the axes of the map's frame. [m]", clip_);
-  clip_handles_ = new BoolProperty(
-      "Handles", true,
-      "Show the box, and handles for the Interact tool: pull a face, move the middle.", clip_);
+  flag("Float Blending", false,
+       "Keep pictures in 32-bit instead of 16-bit floats. Tiles blend in 32 bits either way; the "
+       "processor always keeps 32.",
+       display, &RenderSettings::float_blending);
+  number("Near Fade", 0.0f, "Splats closer than this to the near plane fade out. [m]", display,
+         0.0f, &RenderSettings::near_fade);
+  clip_ = flag("Clip Box", false, "Draw only splats whose mean is in a box.", display);
+  clip_centre_ = added(new VectorProperty("Center", Ogre::Vector3::ZERO,
+                                          "Centre of the box in the map's frame. [m]", clip_));
+  clip_size_ =
+      added(new VectorProperty("Size", Ogre::Vector3(1, 1, 1),
+                               "Size of the box along the axes of the map's frame. [m]", clip_));
+  clip_handles_ =
+      flag("Handles", true,
+           "Show the box, and handles for the Interact tool: pull a face, move the middle.", clip_);
 
   const auto changed = [this, on_change = std::move(on_change)] {
     hideWithoutEffect();
     on_change();
   };
-  for (Property* property :
-       {static_cast<Property*>(mode_),        static_cast<Property*>(detail_),
-        static_cast<Property*>(auto_range_),  static_cast<Property*>(nearest_),
-        static_cast<Property*>(farthest_),    static_cast<Property*>(age_range_),
-        static_cast<Property*>(channel_),     static_cast<Property*>(channel_colours_),
-        static_cast<Property*>(auto_bounds_), static_cast<Property*>(least_value_),
-        static_cast<Property*>(most_value_),  static_cast<Property*>(alpha_),
-        static_cast<Property*>(scale_),       static_cast<Property*>(sh_degree_),
-        static_cast<Property*>(sh_band_),     static_cast<Property*>(order_),
-        static_cast<Property*>(rasterizer_),  static_cast<Property*>(profile_),
-        static_cast<Property*>(model_),       static_cast<Property*>(float_blending_),
-        static_cast<Property*>(near_fade_),   static_cast<Property*>(clip_),
-        static_cast<Property*>(clip_centre_), static_cast<Property*>(clip_size_),
-        static_cast<Property*>(clip_handles_)}) {
+  for (Property* property : properties_) {
     QObject::connect(property, &Property::changed, property, changed);
   }
   hideWithoutEffect();
@@ -226,13 +243,12 @@ RenderSettings DisplaySettings::get() const {
     return {v.x, v.y, v.z};
   };
   RenderSettings settings;
-  settings.mode = static_cast<DrawMode>(mode_->getOptionInt());
+  settings.interactive = true;
+  for (const auto& read : reads_) read(settings);
   if (!auto_range_->getBool()) {
     settings.depth_range = {nearest_->getFloat(), farthest_->getFloat()};
   }
-  settings.age_range = age_range_->getFloat();
   settings.channel = channel_->getStdString();
-  settings.channel_colours = static_cast<ChannelColours>(channel_colours_->getOptionInt());
   if (!auto_bounds_->getBool()) {
     settings.channel_range = {least_value_->getFloat(), most_value_->getFloat()};
   }
@@ -240,18 +256,8 @@ RenderSettings DisplaySettings::get() const {
     settings.detail = parseDetail(detail_->getStdString());
   } catch (const std::invalid_argument&) {  // detailError() says so
   }
-  settings.opacity = alpha_->getFloat();
-  settings.scale = scale_->getFloat();
-  settings.max_sh_degree = sh_degree_->getOptionInt();
-  settings.only_band = sh_band_->getOptionInt();
-  settings.order = static_cast<OrderSource>(order_->getOptionInt());
-  settings.interactive = true;
-  settings.rasterizer = static_cast<Rasterizer>(rasterizer_->getOptionInt());
-  settings.profile = profile_->getBool();
   const int model = model_->getOptionInt();
   if (model != kAsPublished) settings.model = modelOf(model);
-  settings.float_blending = float_blending_->getBool();
-  settings.near_fade = near_fade_->getFloat();
   settings.clip_box = {clip_->getBool(), array(clip_centre_), array(clip_size_)};
   return settings;
 }

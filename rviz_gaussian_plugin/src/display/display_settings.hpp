@@ -1,7 +1,9 @@
 #pragma once
 
 #include <functional>
+#include <initializer_list>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "rosplat_core/views/render_settings.hpp"
@@ -34,34 +36,48 @@ class DisplaySettings {
   void setClipBox(const ClipBox& box);
 
  private:
+  using BoolProperty = rviz_common::properties::BoolProperty;
+  using EditableEnumProperty = rviz_common::properties::EditableEnumProperty;
+  using EnumProperty = rviz_common::properties::EnumProperty;
+  using FloatProperty = rviz_common::properties::FloatProperty;
+  using Property = rviz_common::properties::Property;
+  using VectorProperty = rviz_common::properties::VectorProperty;
+
+  // These add a property. field: what its value is of the settings; null: get() reads it.
+  template <typename Value>
+  EnumProperty* choice(const char* name, const char* preset, const char* description,
+                       Property* parent,
+                       std::initializer_list<std::pair<std::string, Value>> options,
+                       Value RenderSettings::* field = nullptr);
+  FloatProperty* number(const char* name, float preset, const char* description, Property* parent,
+                        float least, float RenderSettings::* field = nullptr);
+  BoolProperty* flag(const char* name, bool preset, const char* description, Property* parent,
+                     bool RenderSettings::* field = nullptr);
+  template <typename Added>
+  Added* added(Added* property);
+
   void hideWithoutEffect();
 
-  rviz_common::properties::EnumProperty* mode_;
-  rviz_common::properties::EditableEnumProperty* detail_;
-  rviz_common::properties::BoolProperty* auto_range_;
-  rviz_common::properties::FloatProperty* nearest_;
-  rviz_common::properties::FloatProperty* farthest_;
-  rviz_common::properties::FloatProperty* age_range_;
-  rviz_common::properties::EditableEnumProperty* channel_;
+  std::vector<Property*> properties_;                        // all of them
+  std::vector<std::function<void(RenderSettings&)>> reads_;  // those with a field
+
+  EnumProperty* mode_;
+  EditableEnumProperty* detail_;
+  BoolProperty* auto_range_;
+  FloatProperty* nearest_;
+  FloatProperty* farthest_;
+  FloatProperty* age_range_;
+  EditableEnumProperty* channel_;
   std::vector<std::string> channels_;  // offered
-  rviz_common::properties::EnumProperty* channel_colours_;
-  rviz_common::properties::BoolProperty* auto_bounds_;
-  rviz_common::properties::FloatProperty* least_value_;
-  rviz_common::properties::FloatProperty* most_value_;
-  rviz_common::properties::EnumProperty* sh_degree_;
-  rviz_common::properties::EnumProperty* sh_band_;
-  rviz_common::properties::EnumProperty* order_;
-  rviz_common::properties::EnumProperty* rasterizer_;
-  rviz_common::properties::BoolProperty* profile_;
-  rviz_common::properties::FloatProperty* scale_;
-  rviz_common::properties::FloatProperty* alpha_;
-  rviz_common::properties::FloatProperty* near_fade_;
-  rviz_common::properties::EnumProperty* model_;
-  rviz_common::properties::BoolProperty* float_blending_;
-  rviz_common::properties::BoolProperty* clip_;
-  rviz_common::properties::VectorProperty* clip_centre_;
-  rviz_common::properties::VectorProperty* clip_size_;
-  rviz_common::properties::BoolProperty* clip_handles_;
+  EnumProperty* channel_colours_;
+  BoolProperty* auto_bounds_;
+  FloatProperty* least_value_;
+  FloatProperty* most_value_;
+  EnumProperty* model_;
+  BoolProperty* clip_;
+  VectorProperty* clip_centre_;
+  VectorProperty* clip_size_;
+  BoolProperty* clip_handles_;
 };
 
 }  // namespace rosplat

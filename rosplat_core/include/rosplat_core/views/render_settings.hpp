@@ -2,11 +2,13 @@
 
 #include <algorithm>
 #include <array>
+#include <cstring>
 #include <optional>
 #include <string>
 
 #include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/slots/constants.hpp"
+#include "rosplat_core/views/splat_settings.hpp"
 
 namespace rosplat {
 
@@ -61,36 +63,27 @@ struct Detail {
 };
 
 // How a map is drawn.
-struct RenderSettings {
-  DrawMode mode = DrawMode::kColor;
+struct RenderSettings : SplatSettings {
   int max_sh_degree = kMaxShDegree;
-  int only_band = -1;  // draw one band of spherical harmonics alone; -1: all
   // Keep pictures in 32-bit instead of 16-bit floats. They are blended in 32 bits in either case.
   bool float_blending = false;
   // Nobody waits for a picture: the processor paints after the camera, and the newest picture is
   // shown meanwhile. The level of detail approaches a budget in small steps.
   bool interactive = false;
-  float scale = 1;             // of the splats' size
-  float opacity = 1;           // of their opacity, 0 to 1
   std::optional<Model> model;  // in place of the map's own
   OrderSource order = OrderSource::kAuto;
   Rasterizer rasterizer = Rasterizer::kAuto;
   bool profile = false;  // measure the stages of a frame; this waits for the graphics card
   Detail detail;
   ClipBox clip_box;
-  float near_fade = 0;                 // splats closer than this to the near plane fade out [m]
-  std::array<float, 2> depth_range{};  // of kDepth [m]; empty: that of the splats drawn in kDepth
-  float age_range = 10;                // of kAge [s]
-  std::string channel;                 // of kChannel; empty: the map's first
+  std::string channel;  // of kChannel; empty: the map's first
   ChannelColours channel_colours = ChannelColours::kAuto;
   std::array<float, 2> channel_range{};  // ends of a gradient; empty: all values so far
 
   // Whether the projected splats are the same with both settings.
   bool projectsAs(const RenderSettings& o) const {
-    return mode == o.mode && max_sh_degree == o.max_sh_degree && only_band == o.only_band &&
-           scale == o.scale && opacity == o.opacity && model == o.model && clip_box == o.clip_box &&
-           near_fade == o.near_fade && age_range == o.age_range && depth_range == o.depth_range &&
-           channel == o.channel && channel_colours == o.channel_colours &&
+    return sameSplats(o) && max_sh_degree == o.max_sh_degree && model == o.model &&
+           clip_box == o.clip_box && channel == o.channel && channel_colours == o.channel_colours &&
            channel_range == o.channel_range && detail == o.detail &&
            blendsLevels() == o.blendsLevels();
   }
@@ -103,6 +96,11 @@ struct RenderSettings {
 
   // The model by which a map is drawn that was published with one.
   Model drawnModel(Model published) const { return model.value_or(published); }
+
+  // Whether all SplatSettings, which have no padding, are the same.
+  bool sameSplats(const SplatSettings& o) const {
+    return std::memcmp(static_cast<const SplatSettings*>(this), &o, sizeof(o)) == 0;
+  }
 
   // Nodes have no values of channels, so kChannel is drawn in full.
   Detail drawnDetail() const { return mode == DrawMode::kChannel ? Detail{} : detail; }

@@ -19,8 +19,7 @@ std::uint32_t kindOf(const RenderSettings& settings) {
   constexpr std::uint32_t kGaussian = 0, kFlat = 1, kShaded = 2, kByDepth = 3;
   if (settings.mode == DrawMode::kFlatBall) return kFlat;
   if (settings.mode == DrawMode::kGaussianBall) return kShaded;
-  const bool ranges = settings.depth_range[1] > settings.depth_range[0];
-  return settings.mode == DrawMode::kDepth && !ranges ? kByDepth : kGaussian;
+  return settings.mode == DrawMode::kDepth && settings.depth_range.empty() ? kByDepth : kGaussian;
 }
 
 }  // namespace
@@ -45,22 +44,15 @@ ViewBlock::ViewBlock(const Frame& frame) {
   now = static_cast<float>(frame.now);
 }
 
-MapBlock::MapBlock(const FrameLayer& layer) {
+MapBlock::MapBlock(const FrameLayer& layer) : SplatSettings(layer.settings) {
   const RenderSettings& settings = layer.settings;
   const SortView view = sortView(layer.camera, {}, 1.0);
   box_size = settings.clip_box.size;
   clip_to_box = settings.clip_box.enabled;
   slope = {view.slope_x, view.slope_y};
-  depth_range = settings.depth_range;
-  mode = static_cast<int>(settings.mode);
   kind = kindOf(settings);
-  near_fade = settings.near_fade;
-  scale_modifier = settings.scale;
-  opacity_modifier = settings.opacity;
   sh_degree = std::min(layer.store.shDegree(), settings.max_sh_degree);
-  only_band = settings.only_band;
   model = static_cast<std::int32_t>(layer.model());
-  age_range = settings.age_range;
   const Cut shares = layer.cut(layer.camera, {});
   cut = layer.cuts();
   cut_focal = static_cast<float>(shares.focal);

@@ -22,21 +22,17 @@ struct ViewBlock {
 };
 
 // What the shaders of a map share, as splat_map.glsl has it (std140).
-struct alignas(gl::Slice::kAlignment) MapBlock {
+struct alignas(gl::Slice::kAlignment) MapBlock : SplatSettings {
   explicit MapBlock(const FrameLayer& layer);
 
   using Flag = std::uint32_t;
 
   std::array<float, 3> box_size;
   Flag clip_to_box;
-  std::array<float, 2> slope, depth_range, rise;
-  std::int32_t mode;
+  std::array<float, 2> slope, rise;
   std::uint32_t kind;
-  float near_fade;
-  float scale_modifier, opacity_modifier;
-  std::int32_t sh_degree, only_band;
+  std::int32_t sh_degree;
   std::int32_t model;
-  float age_range;
   Flag cut;
   float cut_focal;
   float channel_least, channel_most, channel_per_range;
