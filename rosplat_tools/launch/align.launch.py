@@ -9,11 +9,11 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from rosplat_ros.program.launching import (
+    SCENE,
     declared,
     is_true,
-    publisher,
     room_for_maps,
-    whole_number,
+    scene_publisher,
 )
 
 ARGUMENTS = {
@@ -21,9 +21,8 @@ ARGUMENTS = {
     "camera_info": ("camera_info", "Topic of its calibration"),
     "rectified": ("false", "Whether pictures are rectified"),
     "broadcast": ("", "Frame that TF has at the refined pose; empty: none"),
-    "scene": ("", "Scene file of the map; empty: somebody publishes /gaussians already"),
+    **SCENE,
     "frame_id": ("map", "Frame of the scene's coordinates"),
-    "max_splats": ("2000000", "The most splats of a streamed scene"),
 }
 
 
@@ -47,9 +46,4 @@ def _programs(context: LaunchContext) -> list[object]:
         remappings=[("image_raw", given["image"]), ("camera_info", given["camera_info"])],
         output="screen",
     )
-    programs: list[object] = [*room_for_maps(context), align]
-    if given["scene"]:
-        programs.append(
-            publisher(given["scene"], given["frame_id"], whole_number(given, "max_splats"))
-        )
-    return programs
+    return [*room_for_maps(context), align, *scene_publisher(given)]

@@ -7,30 +7,28 @@ from launch.actions import OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 
 from rosplat_ros.program.launching import (
+    SCENE,
     declared,
     number,
     program,
-    publisher,
     room_for_maps,
-    whole_number,
+    scene_publisher,
 )
 
 ARGUMENTS = {
-    "scene": ("", "Scene file of the map; empty: somebody publishes /gaussians already"),
+    **SCENE,
     "robot": ("mobile", "mobile, arm, quadrotor, or an MJCF file"),
     "start": (
         "0 0 0",
         "x, y [m] and yaw [rad] upright, or the nearest place with room",
     ),
-    "up": ("", "The scene's vertical, such as '0 -1 0'; empty: the file's, or else by its ground"),
+    "objects": (
+        "",
+        "Scene files with commas between them: each is a body that moves freely, in the scene's "
+        "coordinates; rviz2 shows them as the map /objects",
+    ),
     "rate": ("10", "Pictures of a camera in a second"),
     "speed": ("1", "Simulated seconds in a second; 0: as many as can be"),
-    "frame_id": (
-        "",
-        "Frame of the scene as the file has it; by default 'scene', which stands "
-        "upright in the frame 'map' by a transform that is published, too",
-    ),
-    "max_splats": ("2000000", "The most splats of a streamed scene"),
 }
 
 
@@ -46,14 +44,11 @@ def _programs(context: LaunchContext) -> list[object]:
         "simulate",
         robot=given["robot"],
         start=_numbers(given, "start"),
+        objects=given["objects"].split(","),
         rate=number(given, "rate"),
         speed=number(given, "speed"),
     )
-    programs: list[object] = [*room_for_maps(context), simulate]
-    if given["scene"]:
-        most = whole_number(given, "max_splats")
-        programs.append(publisher(given["scene"], given["frame_id"], most, up=given["up"]))
-    return programs
+    return [*room_for_maps(context), simulate, *scene_publisher(given)]
 
 
 def _numbers(given: dict[str, str], name: str) -> list[float]:

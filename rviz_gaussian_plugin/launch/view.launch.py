@@ -10,37 +10,23 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node, SetParameter, SetRemap
 
 from rosplat_ros.program.launching import (
+    SCENE,
     declared,
     is_true,
     program,
-    publisher,
     room_for_maps,
-    whole_number,
+    scene_publisher,
 )
 
 # By name: the default, and what it means. Names of topics are in the namespace that the launch file
 # is included in, unless they begin with a slash.
 ARGUMENTS = {
-    "scene": (
-        "",
-        "Scene file to publish: .ply, .spz, .sog, .splat, .ksplat, .glb, .usd or a SOG folder; a "
-        "lod-meta.json is streamed; empty: the map comes from elsewhere",
-    ),
-    "max_splats": ("2000000", "The most splats of a streamed scene that the map holds"),
+    **SCENE,
     "topic": (
         "gaussians",
         "Topic of the map; those of its views, orders and pictures begin with it",
     ),
-    "frame_id": (
-        "",
-        "Frame of the scene as the file has it; by default 'scene', which stands "
-        "upright in the frame 'map' by a transform that is published, too",
-    ),
     "fixed_frame": ("", "rviz2's Fixed Frame; by default frame_id, or the configuration's: map"),
-    "up": (
-        "",
-        "The scene's vertical, such as '0 -1 0'; by default the file's, or else by its ground",
-    ),
     "sorter": ("false", "Start a sorter, for displays whose Order Source is Sidecar"),
     "backend": ("auto", "What sorts: auto, cupy, torch, native, numpy"),
     "sensors": (
@@ -74,13 +60,10 @@ def generate_launch_description() -> LaunchDescription:
 def _programs(context: LaunchContext) -> list[GroupAction]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
 
-    scene = given["scene"]
     # First: where there is no rviz2, nothing else begins.
     programs = [_rviz(given, is_true(given, "sensors"), is_true(given, "obstacles"))]
     # No publisher without a scene: beside it, displays don't hear a SLAM node's volatile one.
-    if scene:
-        most = whole_number(given, "max_splats")
-        programs.append(publisher(scene, given["frame_id"], most, up=given["up"]))
+    programs += scene_publisher(given)
     if is_true(given, "sorter"):
         programs.append(program("rosplat_sorter", "sorter", backend=given["backend"]))
     if is_true(given, "sensors"):

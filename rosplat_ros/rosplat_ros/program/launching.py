@@ -11,6 +11,25 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from rosplat_ros.program.middleware import fast_dds_profile
 
+# Arguments of a scene that is published where one is given: the default, and what it means.
+SCENE = {
+    "scene": (
+        "",
+        "Scene file to publish: .ply, .spz, .sog, .splat, .ksplat, .glb, .usd or a SOG folder; a "
+        "lod-meta.json is streamed; empty: the map comes from elsewhere",
+    ),
+    "up": (
+        "",
+        "The scene's vertical, such as '0 -1 0'; by default the file's, or else by its ground",
+    ),
+    "frame_id": (
+        "",
+        "Frame of the scene as the file has it; by default 'scene', which stands "
+        "upright in the frame 'map' by a transform that is published, too",
+    ),
+    "max_splats": ("2000000", "The most splats of a streamed scene that the map holds"),
+}
+
 
 def declared(arguments: Mapping[str, tuple[str, str]]) -> list[DeclareLaunchArgument]:
     """Arguments by name: the default, and what it means."""
@@ -63,6 +82,17 @@ def program(package: str, executable: str, **parameters: object) -> Node:
         parameters=[typed],
         output="screen",
     )
+
+
+def scene_publisher(given: Mapping[str, str]) -> list[Node]:
+    """The node that publishes the scene of the arguments SCENE; none without a scene.
+
+    Raises ValueError that names an argument.
+    """
+    if not given["scene"]:
+        return []
+    most = whole_number(given, "max_splats")
+    return [publisher(given["scene"], given["frame_id"], most, up=given["up"])]
 
 
 def publisher(scene: str, frame_id: str, max_splats: int, **parameters: object) -> Node:
