@@ -76,3 +76,25 @@ def test_where_ros_can_t_begin_a_line_says_why() -> None:
     assert run.returncode == 1
     (line,) = run.stderr.splitlines()
     assert line.startswith("follow: ") and "ROS_DOMAIN_ID is not an integral number" in line
+
+
+HANGS_AS_IT_ENDS = """
+import ctypes
+import rclpy
+from rosplat_ros.program import running
+running.LAST = 0.5
+rclpy.init()
+node = rclpy.create_node("test")
+def hangs():
+    ctypes.PyDLL(None).pause()  # with Python's lock, as rclpy does
+node.destroy_node = hangs
+with running.spinning(node):
+    pass
+"""
+
+
+def test_a_node_that_hangs_as_it_ends_is_ended() -> None:
+    command = [sys.executable, "-c", HANGS_AS_IT_ENDS]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert run.returncode == 1
+    assert "in hangs" in run.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import math
 import sys
 import time
@@ -37,6 +38,7 @@ from rosplat_ros.program.processes import interrupt_by_signals, since_interrupt
 
 GRACE = 0.5  # time that callbacks get to end before ROS ends [s]
 BREATH = 0.0002  # pause in which a thread can begin with a callback [s]
+LAST = 5.0  # time that ROS gets to take a node down before the process is ended [s]
 LOST = 3.0  # so long after a signal, its exception counts as lost [s]
 
 
@@ -142,10 +144,25 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
             node.context.try_shutdown()  # callbacks that still run see that and end
             _wait_for_callbacks(executor, math.inf)
             _tell_of_callbacks(executor)
-            executor.shutdown()
-            node.destroy_node()
+            with _ended_within(LAST):
+                executor.shutdown()
+                node.destroy_node()
             if spun:
                 spun.result()
+
+
+@contextmanager
+def _ended_within(seconds: float) -> Iterator[None]:
+    """Ends the process, with code 1 and the place in the code, if the block takes longer.
+
+    Fast DDS 2.14 may wait for itself while other nodes end, and rclpy for it with Python's lock, so
+    that no signal helps. faulthandler's thread needs no lock.
+    """
+    faulthandler.dump_traceback_later(seconds, exit=True, file=sys.__stderr__)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
 
 
 def _wait_for_callbacks(executor: Executor, timeout: float) -> None:
