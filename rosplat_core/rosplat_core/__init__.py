@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rosplat_core.alignment import Alignment, align
     from rosplat_core.cameras import Camera, load_cameras, look_at, orbit, save_cameras
+    from rosplat_core.distances import DistanceField
     from rosplat_core.first_look import first_view
     from rosplat_core.formats import load, save
     from rosplat_core.generated import generate
@@ -27,6 +28,7 @@ __all__ = [
     "Alignment",
     "Camera",
     "CpuRenderer",
+    "DistanceField",
     "Model",
     "Relocaliser",
     "SceneError",
@@ -52,6 +54,7 @@ __all__ = [
 _MODULES = {
     "alignment": ("Alignment", "align"),
     "cameras": ("Camera", "load_cameras", "look_at", "orbit", "save_cameras"),
+    "distances": ("DistanceField",),
     "first_look": ("first_view",),
     "formats": ("load", "save"),
     "generated": ("generate",),

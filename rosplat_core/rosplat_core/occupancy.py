@@ -17,15 +17,20 @@ from scipy import ndimage
 
 from rosplat_core._core import OccupancyMap
 from rosplat_core.program.files import replacing
-from rosplat_core.splats import SceneError
+from rosplat_core.quaternions import from_matrices
+from rosplat_core.rendering import insert_all
+from rosplat_core.splats import SceneError, Splats
 
 __all__ = [
-    "FREE", "MOST_ACROSS", "OCCUPIED", "UNKNOWN", "Grid", "OccupancyMap", "depth_of", "grid_of",
-    "save_grid", "towards", "voxels_across",
+    "FREE", "MOST_ACROSS", "OCCUPIED", "RESOLUTION", "UNKNOWN", "Grid", "OccupancyMap", "depth_of",
+    "grid_of", "hollows", "occupied_by", "save_grid", "towards", "voxels_across",
 ]  # fmt: skip
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100  # as nav_msgs/OccupancyGrid has them
 MOST_ACROSS = 4096  # voxels along an axis
+RESOLUTION = 0.05  # of voxels, where nothing else is asked for [m]
+SIZE = 100.0  # of the cube around the origin that has voxels, likewise [m]
+MOST_FILLED = 1 << 28  # voxels of the box around a map whose hollows are filled
 START_REACH = 0.3  # most distance from the start to a free cell near it [m]
 
 # map_server's grey values of these, and its thresholds: cells between the two are unknown.
@@ -59,6 +64,32 @@ def voxels_across(size: float, resolution: float) -> int:
             f"most {MOST_ACROSS:,} are held"
         )
     return max(2, across)
+
+
+def occupied_by(
+    splats: Splats, pose: NDArray[np.float64], resolution: float = RESOLUTION
+) -> OccupancyMap:
+    """The voxels of a map, within SIZE. pose: (4, 4) of the map in their frame [m].
+
+    Raises SceneError for more voxels than are held.
+    """
+    voxels = OccupancyMap(resolution, voxels_across(SIZE, resolution))
+    voxels.place(pose[:3, 3].tolist(), from_matrices(pose[:3, :3]).tolist())
+    insert_all(voxels, splats)
+    if voxels.full:
+        raise SceneError(f"more than {voxels.most:,} voxels: choose a coarser resolution")
+    return voxels
+
+
+def hollows(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Voxels (m, 3) that occupied ones (n, 3) enclose on all sides. Raises SceneError."""
+    least = cells.min(axis=0)
+    shape = cells.max(axis=0) - least + 1
+    if shape.prod() > MOST_FILLED:
+        raise SceneError("the map is too wide to be filled: choose a coarser resolution")
+    occupied = np.zeros(shape, bool)
+    occupied[tuple((cells - least).T)] = True
+    return np.asarray(np.argwhere(ndimage.binary_fill_holes(occupied) & ~occupied) + least)
 
 
 def grid_of(

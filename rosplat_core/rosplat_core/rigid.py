@@ -41,3 +41,10 @@ def rigid(transform: ArrayLike, name: str) -> NDArray[np.float64]:
     left, _, right = np.linalg.svd(rotation)
     matrix[:3, :3] = left @ right
     return matrix
+
+
+def placed(position: NDArray[np.float64], rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(4, 4) of a position (3,) and a rotation matrix of any shape of nine. [m]"""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = np.reshape(rotation, (3, 3)), position
+    return pose

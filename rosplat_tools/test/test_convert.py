@@ -3,6 +3,7 @@
 import importlib.util
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,49 @@ def test_bands_can_be_cut_off_but_not_made(
         target = tmp_path / f"{wanted}.ply"
         assert main([str(tmp_path / "a.ply"), str(target), "--sh-degree", str(wanted)]) == 0
         assert load(target).sh_degree == written
+
+
+def test_a_part_is_cut_out_and_the_rest_is_kept(
+    random_splats: Callable[..., Splats], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = replace(random_splats(200), channels={"label": np.arange(200, dtype=np.float32) % 4})
+    source, part, rest = (str(tmp_path / f"{name}.ply") for name in ("whole", "part", "rest"))
+    save(source, whole)
+    low, high = np.quantile(whole.positions, [0.2, 0.7], axis=0)
+    inside = ((whole.positions >= low) & (whole.positions <= high)).all(axis=1)
+    for options, kept in (
+        (["--box", *map(str, [*high, *low])], inside),  # corners in any order
+        (["--where", "label=3"], whole.channels["label"] == 3),
+        (["--where", "label=3", "--box", *map(str, [*low, *high])],
+         inside & (whole.channels["label"] == 3)),
+    ):  # fmt: skip
+        assert main([source, part, *options, "--overwrite"]) == 0
+        assert main([source, rest, *options, "--rest", "--overwrite"]) == 0
+        np.testing.assert_array_equal(load(part).positions, whole.positions[kept])
+        np.testing.assert_array_equal(load(rest).positions, whole.positions[~kept])
+    capsys.readouterr()
+    for options, why in (
+        (["--rest"], "of what"),
+        (["--where", "colour=3"], "has no channel colour: label"),
+        (["--where", "label"], "expected label=NUMBER"),
+        (["--where", "label=9"], "no splat is left"),
+        (["--box", *["nan"] * 6], "finite"),
+    ):
+        assert main([source, part, *options, "--overwrite"]) == 1
+        assert why in capsys.readouterr().err
+    assert len(load(part)) < 200  # what was there stays
+
+
+def test_distances_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "field.npz"
+    assert main(["rooms:20000", str(target), "--resolution", "0.2"]) == 0
+    assert "voxels of 0.2 m, up is 0.00 0.00 1.00" in capsys.readouterr().out
+    with np.load(target) as field:
+        assert field["distances"].dtype == np.float32
+        assert field["resolution"] == 0.2
+        assert field["map_pose"].shape == (4, 4)
+    assert main(["rooms:20000", str(target)]) == 1
+    assert "exists" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("ending", ENDINGS)

@@ -24,7 +24,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 
-from rosplat_core.generated.rooms import DOOR_ASIDE, ROOMS, SIZE, WALL
+from rosplat_core.generated.rooms import DOOR_ASIDE, DOOR_WIDTH, ROOMS, SIZE, WALL
 from rosplat_core.occupancy import OccupancyMap, grid_of
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
@@ -127,7 +127,8 @@ def test_walls_are_where_they_are(start: Start, node: Node, listener: Any, tmp_p
 
     voxels = Heard(node, PointCloud2, "gaussians/voxels")
     surface = Heard(node, PointCloud2, "gaussians/surface")
-    listener.wait(lambda: voxels.message and surface.message)
+    distances = Heard(node, PointCloud2, "gaussians/distances")
+    listener.wait(lambda: voxels.message and surface.message and distances.message)
     middles = rows(voxels.message)
     np.testing.assert_allclose(middles / RESOLUTION % 1, 0.5, atol=1e-2)
     assert len(middles) == surface.message.width
@@ -138,6 +139,14 @@ def test_walls_are_where_they_are(start: Start, node: Node, listener: Any, tmp_p
     floor = np.abs(points[:, 2]) < 0.01
     assert floor.sum() > 5000
     assert (points[floor, 5] > 0.8).mean() > 0.9  # up, towards the robot
+    names = [field.name for field in distances.message.fields]
+    assert names == ["x", "y", "z", "distance"]
+    x, y, z, distance = rows(distances.message).T
+    np.testing.assert_allclose(z, 0.95)  # the middle of the band
+    to_wall = half - WALL / 2 - np.maximum(np.abs(x), np.abs(y))
+    near = (to_wall > 0) & (to_wall < 1)
+    assert (distance[near] < to_wall[near] + RESOLUTION).mean() > 0.99
+    assert distance[np.hypot(x, y - DOOR_ASIDE).argmin()] > DOOR_WIDTH / 2
 
     answer = listener.call(SaveMap, "occupancy/save", path=str(tmp_path / "flat.yaml"))
     assert answer.success, answer.message

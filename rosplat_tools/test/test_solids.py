@@ -11,10 +11,11 @@ import pytest
 
 from rosplat_core.generated import generate
 from rosplat_core.generated.rooms import Rooms
+from rosplat_core.rigid import placed
 from rosplat_core.splats import SceneError, Splats
 from rosplat_tools.convert import main
 from rosplat_tools.simulation import solids as module
-from rosplat_tools.simulation.robot_model import BrokenState, RobotModel, placed, robot_file
+from rosplat_tools.simulation.robot_model import BrokenState, RobotModel, robot_file
 from rosplat_tools.simulation.solids import Boxes, add_solids, free_place, solids
 
 mujoco = pytest.importorskip("mujoco", reason="no mujoco here (PyPI)")
@@ -104,16 +105,10 @@ def test_what_is_enclosed_is_solid_where_asked(monkeypatch: pytest.MonkeyPatch) 
     shell = np.array([c for c in product(range(5), repeat=3) if 0 in c or 4 in c])
 
     class Shell:
-        full = False
-
         def surface(self, _: float) -> dict[str, Any]:
             return {"cells": shell.astype(np.int32), "positions": (shell + 0.5) * 0.1}
 
-        def place(self, *_: Any) -> None:
-            pass
-
-    monkeypatch.setattr(module, "OccupancyMap", lambda *_: Shell())
-    monkeypatch.setattr(module, "insert_all", lambda *_: None)
+    monkeypatch.setattr(module, "occupied_by", lambda *_: Shell())
     hollow, filled = (solids(None, np.eye(4), 0.1, filled=filled) for filled in (False, True))  # type: ignore[arg-type]
     centre = np.array([[0.25, 0.25, 0.25]])
     assert len(filled) == 1

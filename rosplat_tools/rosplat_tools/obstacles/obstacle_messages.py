@@ -1,4 +1,4 @@
-"""Voxels, surfaces and grids as messages."""
+"""Voxels, surfaces, distances and grids as messages."""
 
 from __future__ import annotations
 
@@ -45,6 +45,13 @@ def surface_message(
     r, g, b = np.rint(255 * colors).astype(np.uint32).T
     rgb = (r << 16 | g << 8 | b).view(np.float32)
     return _cloud(header, _SURFACE, np.column_stack([positions, normals, rgb]))
+
+
+def distances_message(
+    header: Header, points: NDArray[np.float64], distances: NDArray[np.float64]
+) -> PointCloud2:
+    """Points (n, 3) and distances (n,). [m]"""
+    return _cloud(header, (*_VOXEL, "distance"), np.column_stack([points, distances]))
 
 
 def _cloud(header: Header, names: tuple[str, ...], rows: NDArray[np.floating]) -> PointCloud2:

@@ -1,8 +1,8 @@
-"""Obstacles in a map: a grid that nav2 takes, voxels, and a coloured surface with normals.
+"""Obstacles in a map: a grid that nav2 takes, voxels, a coloured surface with normals, distances.
 
 Publishes, while somebody listens, `gaussians/occupancy` (nav_msgs/OccupancyGrid), and
-`gaussians/voxels` and `gaussians/surface` (sensor_msgs/PointCloud2). The service `~/save` writes
-the grid for map_server.
+`gaussians/voxels`, `gaussians/surface` and, at the middle of the band, `gaussians/distances`
+(sensor_msgs/PointCloud2). The service `~/save` writes the grid for map_server.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
+from rosplat_core.distances import DistanceField
 from rosplat_core.log_text import counted, shown
 from rosplat_core.occupancy import (
     FREE,
@@ -48,6 +49,7 @@ from rosplat_ros.qos import overridable
 from rosplat_tools.frames import FrameError, Frames
 from rosplat_tools.map_subscriber import MapSubscriber
 from rosplat_tools.obstacles.obstacle_messages import (
+    distances_message,
     grid_message,
     surface_message,
     voxels_message,
@@ -121,6 +123,7 @@ class Occupancy(Node):
         warn = self.get_logger().warning
         self._problem, self._left_out = SaidOnce(warn), SaidOnce(warn)
         self._not_free = ""  # why no cell of the grid is free
+        self._no_distances = ""  # why there are none
         self._came = threading.Event()
         self._lock = threading.Lock()  # of the map and of what is made of it
         self._map = MapSubscriber(self, self._voxels, self._came.set, most_sh_degree=0)
@@ -129,6 +132,7 @@ class Occupancy(Node):
             ("occupancy", OccupancyGrid, self._grid_message),
             ("voxels", PointCloud2, self._voxels_message),
             ("surface", PointCloud2, self._surface_message),
+            ("distances", PointCloud2, self._distances_message),
         ]
         self._outputs = [
             _Output(self.create_publisher(kind, f"{topic}/{name}", **overridable(LATCHED)), make)
@@ -171,7 +175,7 @@ class Occupancy(Node):
                 f"left out: {counted(self._voxels.beyond, 'splat', 'splats')} beyond `size`, "
                 f"{left_out - self._voxels.beyond:,} that are hundreds of voxels wide"
             )
-        self._problem.say(self._not_free)
+        self._problem.say(self._not_free or self._no_distances)
 
     def _find_problem(self) -> str:
         """Why the voxels don't show the whole map at its pose of now; empty if they do."""
@@ -255,9 +259,25 @@ class Occupancy(Node):
     def _surface_message(self, header: Header) -> PointCloud2:
         surface = self._voxels.surface(self._least_depth)
         positions = surface["positions"]
-        viewpoint = np.array([*self._start, self._level + sum(self._band) / 2])
+        viewpoint = np.array([*self._start, self._middle()])
         normals = towards(positions, surface["normals"], viewpoint)
         return surface_message(header, positions, normals, surface["colors"])
+
+    def _distances_message(self, header: Header) -> PointCloud2:
+        height = self._middle()
+        try:
+            field = DistanceField.of_voxels(
+                self._voxels, self._resolution, heights=(height, height)
+            )
+        except SceneError as error:
+            self._no_distances = str(error)
+            return distances_message(header, np.zeros((0, 3)), np.zeros(0))
+        self._no_distances = ""
+        return distances_message(header, *field.slice_at(height))
+
+    def _middle(self) -> float:
+        """Height of the band's middle in the published frame. [m]"""
+        return self._level + sum(self._band) / 2
 
     # --- What is written --------------------------------------------------------------------------
 

@@ -21,17 +21,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from rosplat_core.occupancy import OccupancyMap, depth_of, voxels_across
+from rosplat_core.occupancy import RESOLUTION, depth_of, hollows, occupied_by
 from rosplat_core.program.files import write_text
 from rosplat_core.quaternions import from_matrices
-from rosplat_core.rendering import insert_all
 from rosplat_core.splats import SceneError, Splats
 from rosplat_tools.simulation.physics import load_mujoco
 
-RESOLUTION = 0.05  # [m]
-SIZE = 100.0  # of the cube around the origin that has voxels [m]
 LIGHT = 0.5  # least share that an occupied voxel takes away
 SKIN = 0.2  # by which a box reaches beyond its surface: thin ones stop fast bodies [voxels]
 ROOM = 0.25, 0.4  # radius and height of the room that a robot needs [m]
@@ -39,8 +35,8 @@ HIGHEST = 0.5  # ground that a robot may stand on, above the map's own [m]
 KERB = 0.03  # of ground that counts as level [m]
 FAR, STEP = 5.0, 0.1  # how far from a wished place another is tried, and how densely [m]
 MOST_BOXES = 200_000  # beyond which a step takes long, and compiling minutes
-MOST_FILLED = 1 << 28  # voxels of the box around a map whose hollows are filled
 BODY = "map_solids"
+DENSITY = 300.0  # of objects, which are mostly hollow [kg/m3]
 _CONTACT = {  # MuJoCo's defaults, whatever those of the robot's file are
     "contype": 1, "conaffinity": 1, "condim": 3, "friction": (1.0, 0.005, 0.0001),
     "margin": 0.0, "gap": 0.0, "priority": 0, "solmix": 1.0,
@@ -71,31 +67,17 @@ def solids(
     resolution: edge of a voxel [m]. filled: what surfaces enclose on all sides is solid, too.
     Raises SceneError for more than this takes.
     """
-    voxels = OccupancyMap(resolution, voxels_across(SIZE, resolution))
-    voxels.place(pose[:3, 3].tolist(), from_matrices(pose[:3, :3]).tolist())
-    insert_all(voxels, splats)
-    if voxels.full:
-        raise SceneError(f"more than {voxels.most:,} voxels: choose a coarser resolution")
+    voxels = occupied_by(splats, pose, resolution)
     surface = voxels.surface(depth_of(LIGHT))
     cells, positions = surface["cells"].astype(np.int64), surface["positions"].astype(np.float64)
     if filled and len(cells):
-        inside = _hollows(cells)
+        inside = hollows(cells)
         cells = np.concatenate([cells, inside])
         positions = np.concatenate([positions, (inside + 0.5) * resolution])
     boxes = _fitted(cells, positions / resolution, *_fewest(cells))
     if len(boxes) > MOST_BOXES:
         raise SceneError(f"{len(boxes):,} boxes: choose a coarser resolution than {resolution:g} m")
     return Boxes(boxes.low * resolution, boxes.high * resolution)
-
-
-def _hollows(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    least = cells.min(axis=0)
-    shape = cells.max(axis=0) - least + 1
-    if shape.prod() > MOST_FILLED:
-        raise SceneError("the map is too wide to be filled: choose a coarser resolution")
-    occupied = np.zeros(shape, bool)
-    occupied[tuple((cells - least).T)] = True
-    return np.asarray(np.argwhere(ndimage.binary_fill_holes(occupied) & ~occupied) + least)
 
 
 _Joined = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.intp]]
@@ -182,10 +164,32 @@ def free_place(boxes: Boxes, wished: tuple[float, float]) -> tuple[float, float,
 
 def add_solids(spec: Any, boxes: Boxes, pose: Array) -> None:
     """Adds boxes to a MuJoCo spec, in a body without a joint; pose (4, 4): of their frame [m]."""
+    _add_boxes(spec.worldbody.add_body(name=BODY, pos=pose[:3, 3], quat=_quaternion(pose)), boxes)
+
+
+def add_object(spec: Any, name: str, boxes: Boxes, pose: Array) -> Array:
+    """Adds boxes to a MuJoCo spec as a body that moves freely, its frame in their middle.
+
+    pose: (4, 4) of the boxes' frame [m]. Returns the body's pose (4, 4), where it begins.
+    """
+    middle = np.eye(4)
+    middle[:3, 3] = (boxes.low.min(axis=0) + boxes.high.max(axis=0)) / 2
+    begins = pose @ middle
+    place = np.concatenate([begins[:3, 3], _quaternion(begins)])
+    body = spec.worldbody.add_body(name=name, pos=place[:3], quat=place[3:])
+    body.add_freejoint()
+    moved = Boxes(boxes.low - middle[:3, 3], boxes.high - middle[:3, 3])
+    _add_boxes(body, moved, density=DENSITY)
+    for key in spec.keys:
+        if len(key.qpos):
+            key.qpos = np.concatenate([key.qpos, place])
+    return begins
+
+
+def _add_boxes(body: Any, boxes: Boxes, **further: float) -> None:
     kind = load_mujoco().mjtGeom.mjGEOM_BOX
-    body = spec.worldbody.add_body(name=BODY, pos=pose[:3, 3], quat=_quaternion(pose))
     for centre, half in zip(*_centred(boxes), strict=True):
-        body.add_geom(type=kind, pos=centre, size=half, group=GROUP, **_CONTACT)
+        body.add_geom(type=kind, pos=centre, size=half, group=GROUP, **_CONTACT, **further)
 
 
 def save_solids(path: str | Path, boxes: Boxes, pose: Array, scene: str) -> None:
