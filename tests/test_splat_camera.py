@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from drawing import decibels
 from rosplat_core.cameras import look_at
-from rosplat_core.rendering import CpuRenderer, posed
+from rosplat_core.generated import generate
+from rosplat_core.quaternions import from_matrices
+from rosplat_core.rendering import CpuRenderer, insert_groups, move, posed
+from rosplat_core.rigid import placed
 from rosplat_core.splats import SceneError, Splats
 from rosplat_lab import reference
+from rosplat_tools.lidars.scanning import Lidar, Pattern
 from rosplat_tools.simulation import body_pictures
+from rosplat_tools.simulation.robot_model import put_in_map, robot_file
 from rosplat_tools.simulation.splat_camera import SplatCamera
 
 mujoco = pytest.importorskip("mujoco", reason="no mujoco here (PyPI)")
@@ -200,3 +207,69 @@ def test_without_mujoco_its_package_is_named(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
     with pytest.raises(SceneError, match="pip install mujoco"):
         SplatCamera(None, None, cloud())
+
+
+def turned(vector: list[float]) -> Any:
+    """The rotation matrix of a rotation vector [rad]."""
+    return Rotation.from_rotvec(vector).as_matrix()
+
+
+def test_splats_ride_on_bodies() -> None:
+    """They are drawn, and measured by a lidar, as if the map held them where the body is."""
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    data = mujoco.MjData(model)
+    map_pose = placed(np.array([0.1, -0.2, 0.3]), turned([0.2, -0.3, 0.5]))
+    on_body = placed(np.array([0.3, 0.0, -0.1]), turned([0.4, 0.1, -0.2]))
+    room, thing = cloud(), cloud()[:100]
+    camera = SplatCamera(model, data, room, map_pose=map_pose, riding={"ball": (thing, on_body)})
+    pattern = Pattern.of(4, 64, -0.3, 0.3)
+    for turn in ([0.0, 0.0, 0.0], [0.5, -1.0, 2.0]):
+        data.qpos[:3] = np.add([0.2, -0.2, 0.5], turn)
+        data.qpos[3:7] = np.roll(from_matrices(turned(turn)), 1)
+        mujoco.mj_forward(model, data)
+        body = placed(data.body("ball").xpos, data.body("ball").xmat)
+        whole = CpuRenderer()
+        in_map = np.linalg.inv(map_pose) @ body @ on_body
+        revision = insert_groups(whole, [room, thing])
+        pose = (*in_map[:3, 3].tolist(), *from_matrices(in_map[:3, :3]).tolist())
+        move(whole, {1: pose}, revision + 1)
+        expected = SplatCamera(model, data, whole, map_pose=map_pose)
+        for name in CAMERAS:
+            seen, known = camera.picture(name), expected.picture(name)
+            np.testing.assert_array_equal(seen.colour, known.colour)
+            np.testing.assert_array_equal(seen.depth, known.depth)
+        scans = [
+            Lidar(pattern).scan(each.renderer, map_pose, each.riders.at(data, map_pose))
+            for each in (camera, expected)
+        ]
+        np.testing.assert_array_equal(scans[0].ranges, scans[1].ranges)
+    with pytest.raises(ValueError, match="no body 'chair'"):
+        SplatCamera(model, data, room, riding={"chair": (thing, on_body)})
+
+
+def test_an_object_falls_and_comes_to_rest() -> None:
+    floor = generate(60_000, scene="rooms")
+    places = floor.positions
+    above = (np.abs(places[:, :2] - (-1.2, -1.2)) < 0.3).all(axis=1) & (places[:, 2] < 0.05)
+    thing = replace(floor[above], origin=np.array([0.4, 0.0, 0.5]))  # a slab of floor, in the air
+    file = robot_file("mobile", Path(__file__).parents[1] / "rosplat_tools" / "robots")
+    standing = put_in_map(
+        file, floor, (0, 0, 1), (-1.2, -1.2, 0.0), resolution=0.1, objects={"slab": thing}
+    )
+    robot = standing.robot
+    began = robot.pose(robot.model.body("slab").id)[2, 3]
+    robot.step(3.0)
+    pose = robot.pose(robot.model.body("slab").id)
+    assert began - pose[2, 3] > 0.3
+    at_rest = pose[2, 3]
+    robot.step(1.0)
+    assert abs(robot.pose(robot.model.body("slab").id)[2, 3] - at_rest) < 0.005
+    camera = SplatCamera(
+        robot.model, robot.data, CpuRenderer(floor), map_pose=standing.map_pose,
+        riding=standing.riding,
+    )  # fmt: skip
+    (moved,) = camera.riders.poses(robot.data, standing.map_pose).values()
+    assert moved[2] < -0.3
+    robot.reset()
+    (moved,) = camera.riders.poses(robot.data, standing.map_pose).values()
+    np.testing.assert_allclose(moved[:3], 0, atol=1e-6)

@@ -18,6 +18,7 @@ from rosplat_core import _core, harmonics
 from rosplat_core.cameras import Camera
 from rosplat_core.maps import REPLACE, UPSERT, batch_of, move_of
 from rosplat_core.models import Model
+from rosplat_core.slot_pages import SLOTS_PER_PAGE
 from rosplat_core.splats import Splats, check_splats
 from rosplat_core.view import frame_at
 
@@ -154,6 +155,23 @@ def insert_all(renderer: Any, splats: Splats) -> int:
     revision = 0
     for revision, part in enumerate(batches(splats), 1):
         insert(renderer, splats, part, revision)
+    return revision
+
+
+def insert_groups(renderer: Any, parts: Sequence[Splats]) -> int:
+    """Gives a renderer several sets of splats, each as the group of its number; returns the last
+    batch's revision."""
+    revision, first = 0, 0
+    for number, splats in enumerate(parts):
+        for part in batches(splats):
+            revision += 1
+            renderer.apply(
+                batch_of(
+                    splats, part, operation=REPLACE if revision == 1 else UPSERT, map_id=MAP,
+                    first_slot=first + part.start, group=number, revision=revision,
+                )
+            )  # fmt: skip
+        first += -(-len(splats) // SLOTS_PER_PAGE) * SLOTS_PER_PAGE  # a block is of one group
     return revision
 
 

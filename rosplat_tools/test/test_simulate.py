@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,9 @@ from sensor_msgs.msg import CameraInfo, Image, Imu, JointState, LaserScan, Point
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from rosplat_core.formats import save
 from rosplat_core.generated import generate
+from rosplat_msgs.msg import GaussianArray
 from rosplat_ros.images import from_image
 from rosplat_ros.map_publisher import MapPublisher
 from rosplat_testing import Listener
@@ -285,3 +288,21 @@ def test_markers_are_what_cameras_see_of_the_robot(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.linalg.norm(corners, axis=1), 1, atol=0.02)
     assert (mesh.color.r, tube.color.g) == (1.0, 1.0)
     assert sorted(cap.pose.position.z for cap in caps) == pytest.approx([-0.2, 0.2])
+
+
+def test_an_object_falls_in_a_map_of_its_own(
+    stage: Stage, start: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    near = (np.abs(ROOMS.positions[:, :2] - (-1.2, -1.2)) < 0.3).all(axis=1)
+    slab = ROOMS[near & (ROOMS.positions[:, 2] < 0.05)]
+    save(tmp_path / "slab.ply", replace(slab, origin=np.array([0.4, 0.0, 0.5])))
+    stage.hear(objects=GaussianArray)
+    start("simulate", OWN_CLOCK, **START, objects=f"['{tmp_path}/slab.ply']")
+
+    def has_fallen() -> bool:
+        moves = [m for m in stage.heard["objects"] if m.operation == GaussianArray.MOVE]
+        return bool(moves) and moves[-1].poses[0].position.z < -0.3
+
+    stage.listener.wait(has_fallen)
+    splats = sum(m.count for m in stage.heard["objects"])
+    assert splats == len(slab)

@@ -10,6 +10,8 @@ translucent, or not in the map, answers nothing.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,21 +85,37 @@ class Lidar:
             if len(chosen := np.flatnonzero(facing == number))
         ]
 
-    def scan(self, renderer: CpuRenderer, map_to_lidar: Array) -> Scan:
-        """Measures the renderer's map. map_to_lidar: (4, 4) rigid transform. [m]"""
+    def scan(
+        self, renderer: CpuRenderer, map_to_lidar: Array, beside: Sequence[CpuRenderer] = ()
+    ) -> Scan:
+        """Measures the renderer's map, and maps beside it in the same frame.
+
+        map_to_lidar: (4, 4) rigid transform. [m]
+        """
         ranges = np.full(self._count, np.inf, np.float32)
         intensities = np.zeros(self._count, np.float32)
-        before = renderer.settings.model
-        if renderer.model not in (Model.RAY, Model.DISC):
-            renderer.settings.model = Model.RAY
-        try:
+        with _along_rays([renderer, *beside]):
             for face in self._faces:
-                ranges[face.rays], intensities[face.rays] = face.scan(renderer, map_to_lidar)
-        finally:
-            renderer.settings.model = before
+                ranges[face.rays], intensities[face.rays] = face.scan(
+                    renderer, map_to_lidar, beside
+                )
         missed = ~((ranges >= self.limits[0]) & (ranges <= self.limits[1]))
         ranges[missed], intensities[missed] = np.inf, 0
         return Scan(ranges, intensities)
+
+
+@contextmanager
+def _along_rays(renderers: Sequence[CpuRenderer]) -> Iterator[None]:
+    """For the block, these draw by a model that is evaluated along rays."""
+    before = [renderer.settings.model for renderer in renderers]
+    for renderer in renderers:
+        if renderer.model not in (Model.RAY, Model.DISC):
+            renderer.settings.model = Model.RAY
+    try:
+        yield
+    finally:
+        for renderer, model in zip(renderers, before, strict=True):
+            renderer.settings.model = model
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,12 +146,12 @@ class _Face:
         )  # fmt: skip
 
     def scan(
-        self, renderer: CpuRenderer, map_to_lidar: Array
+        self, renderer: CpuRenderer, map_to_lidar: Array, beside: Sequence[CpuRenderer]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         pose = self.camera.world_to_camera @ map_to_lidar
         drawn = renderer.draw(
             posed(Camera(**(vars(self.camera) | {"world_to_camera": pose}))),
-            samples=self.samples, median_depth=True,
+            beside=list(beside), samples=self.samples, median_depth=True,
         )  # fmt: skip
         depth, colour = drawn["depth"][:, 0], drawn["colour"]
         answers = np.isfinite(depth)

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from rosplat_core.rigid import placed
 from rosplat_ros.poses import to_pose
 from rosplat_tools.simulation.physics import load_mujoco
-from rosplat_tools.simulation.robot_model import RobotModel, placed
+from rosplat_tools.simulation.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.first_look import sample
+from rosplat_core.rigid import placed
 from rosplat_core.splats import SceneError, Splats
 from rosplat_core.upright import standing_pose
 from rosplat_tools.simulation.physics import compiled, load_mujoco, read_spec
-from rosplat_tools.simulation.solids import BODY, RESOLUTION, Boxes, add_solids, free_place, solids
+from rosplat_tools.simulation.solids import (
+    BODY,
+    RESOLUTION,
+    Boxes,
+    add_object,
+    add_solids,
+    free_place,
+    solids,
+)
 
 Array = NDArray[np.float64]
 
@@ -29,8 +39,15 @@ class BrokenState(RuntimeError):
 class RobotModel:
     """A model of an MJCF file with a map's solid parts around it."""
 
-    def __init__(self, path: str | Path, solids: Boxes, pose: Array) -> None:
-        """pose: (4, 4) of the solids in the file's world [m].
+    def __init__(
+        self,
+        path: str | Path,
+        solids: Boxes,
+        pose: Array,
+        objects: Mapping[str, Boxes] | None = None,
+    ) -> None:
+        """pose: (4, 4) of the solids in the file's world [m]. objects: by name, further ones that
+        move freely, in the same frame.
 
         Raises SceneError, naming the file, for one that MuJoCo can't read whole.
         """
@@ -38,6 +55,10 @@ class RobotModel:
         mujoco.set_mju_user_warning(lambda text: None)  # else it writes a file; step() tells
         spec = read_spec(path)
         add_solids(spec, solids, pose)
+        self.objects = {
+            name: add_object(spec, name, boxes, pose) for name, boxes in (objects or {}).items()
+        }
+        """By name, the pose (4, 4) of each object's body where it begins. [m]"""
         self.model = compiled(spec, path)
         self.data = mujoco.MjData(self.model)
         self._mujoco = mujoco
@@ -160,6 +181,8 @@ class Standing:
     """Whether there is ground with room for it; else it is where it was wished for, at height 0."""
     boxes: int
     """That it may run into."""
+    riding: dict[str, tuple[Splats, Array]] = field(default_factory=dict)
+    """The objects' splats, as SplatCamera takes them."""
 
 
 def put_in_map(
@@ -168,28 +191,34 @@ def put_in_map(
     up: ArrayLike,
     start: tuple[float, float, float] = (0.0, 0.0, 0.0),
     resolution: float = RESOLUTION,
+    objects: Mapping[str, Splats] | None = None,
 ) -> Standing:
     """Puts a robot of an MJCF file into a map, on its ground.
 
     up (3,): the map's vertical. start: x, y [m] and yaw [rad] in the map that stands upright, or
-    the nearest place with room. resolution: edge of voxels [m]. Raises SceneError.
+    the nearest place with room. resolution: edge of voxels [m]. objects: by name, further splats in
+    the map's coordinates, each of which is a body that moves freely; its voxels are half as wide,
+    and its hollows solid. Raises SceneError.
     """
     standing = standing_pose(sample(splats), up)
     boxes = solids(splats, standing, resolution)
+    things = {}
+    for name, thing in (objects or {}).items():
+        things[name] = solids(thing, standing, resolution / 2, filled=True)
+        if not len(things[name]):
+            raise SceneError(f"object {name}: nothing of it is solid")
     x, y, yaw = start
     found = free_place(boxes, (x, y))
     place = found or (x, y, 0.0)
     turn = [[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]]
     to_robot = np.asarray(np.linalg.inv(placed(np.array(place), np.array(turn))))
-    robot = RobotModel(path, boxes, to_robot)
-    return Standing(robot, to_robot @ standing, place, found is not None, len(boxes))
-
-
-def placed(position: Array, rotation: Array) -> Array:
-    """(4, 4) of a position (3,) and a rotation matrix of any shape of nine. [m]"""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = np.reshape(rotation, (3, 3)), position
-    return pose
+    robot = RobotModel(path, boxes, to_robot, things)
+    map_pose = to_robot @ standing
+    riding = {
+        name: (thing, np.linalg.inv(robot.objects[name]) @ map_pose)
+        for name, thing in (objects or {}).items()
+    }
+    return Standing(robot, map_pose, place, found is not None, len(boxes), riding)
 
 
 def robot_file(name: str, folder: Path) -> Path:

@@ -12,12 +12,13 @@ from sensor_msgs.msg import CameraInfo, Image, LaserScan, PointCloud2
 from std_msgs.msg import Header
 
 from rosplat_core.lenses import Lens
+from rosplat_core.rigid import placed
 from rosplat_ros.images import to_image
 from rosplat_ros.qos import overridable
 from rosplat_tools.cameras.calibrations import of_lens
 from rosplat_tools.lidars.lidar_messages import points_message, scan_message
 from rosplat_tools.lidars.scanning import Lidar, Scan
-from rosplat_tools.simulation.robot_model import RobotModel, placed
+from rosplat_tools.simulation.robot_model import RobotModel
 from rosplat_tools.simulation.splat_camera import SplatCamera
 
 # Reliable: such a publisher serves best-effort subscribers, too.
@@ -89,7 +90,8 @@ class LidarTopics:
             return
         site = robot.data.site(LIDAR)
         pose = placed(site.xpos, site.xmat)
-        scan = self._lidar.scan(eye.renderer, np.linalg.inv(pose) @ eye.map_pose)
+        beside = eye.riders.at(robot.data, eye.map_pose)
+        scan = self._lidar.scan(eye.renderer, np.linalg.inv(pose) @ eye.map_pose, beside)
         rays = self._lidar.pattern.rays @ pose[:3, :3].T
         body = int(robot.model.site(LIDAR).bodyid[0])
         scan = _nearer(scan, robot.cast(pose[:3, 3], rays, body), self._lidar.limits)

@@ -1,17 +1,17 @@
 """Simulates a robot in a map: MuJoCo moves it, the map is what its sensors see and it runs into.
 
-Hears `gaussians`. Publishes /clock, /tf, odom, joint_states and imu; for each CAMERA of the model
-CAMERA/image_raw, CAMERA/depth/image_raw, CAMERA/segmentation and their camera_info; for a site
-named lidar, points and scan. Hears cmd_vel, and actuators/NAME for each actuator. Pictures and
-scans are made while somebody hears them, and time waits for them. Services: ~/reset, ~/pause and
-~/step.
+Hears `gaussians`, and publishes objects that it moves as the map `objects`. Publishes /clock, /tf,
+odom, joint_states and imu; for each CAMERA of the model CAMERA/image_raw, CAMERA/depth/image_raw,
+CAMERA/segmentation and their camera_info; for a site named lidar, points and scan. Hears cmd_vel,
+and actuators/NAME for each actuator. Pictures and scans are made while somebody hears them, and
+time waits for them. Services: ~/reset, ~/pause and ~/step.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,10 +24,12 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from rosplat_core.formats import load
 from rosplat_core.log_text import counted, shown
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import SceneError, Splats
 from rosplat_msgs.msg import FirstView
 from rosplat_ros.diagnostics import Diagnostics, Report
+from rosplat_ros.map_publisher import MapPublisher
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import run_node
 from rosplat_ros.program.said_once import SaidOnce
@@ -79,6 +81,12 @@ class Simulate(Node):
             raise SceneError(f"parameter start: expected x, y and yaw, got {list(start)}")
         self._start: tuple[float, float, float] = (start[0], start[1], start[2])
         compiled(read_spec(self._file), self._file)  # or else it ends here, before there is a map
+        self._objects = _objects(
+            declare(
+                self, "objects", [""], "Scene files, in the map's coordinates: each is a body that "
+                "moves freely.",
+            )
+        )  # fmt: skip
         self._resolution: float = declare(
             self, "resolution", RESOLUTION, "Edge of voxels of the map's solid parts. [m]",
             0.005, 10.0,
@@ -104,6 +112,7 @@ class Simulate(Node):
         self._outdated = False  # whether the robot is to be put into the map anew
         self._reported = (0.0, 0.0)  # real and simulated time of the last report [s]
         self._problem = SaidOnce(self.get_logger().warning)
+        self._bodies = _Bodies(self) if self._objects else None
         self._time = self.create_publisher(Clock, "/clock", **overridable(QoSProfile(depth=10)))
         self.create_subscription(
             FirstView, f"{self._map.topic}/first_view", self._on_first_view,
@@ -155,6 +164,8 @@ class Simulate(Node):
         self._time.publish(Clock(clock=stamp))
         if self._ticks % STATES == 0:
             self._states.publish(stamp)
+            if self._bodies:
+                self._bodies.follow(robot, eye)
         if problem := self._map.problem():
             self._problem.say(f"cameras and lidar wait: {problem}")
             return
@@ -185,12 +196,18 @@ class Simulate(Node):
         """Makes the model anew, in the map as it is now. Raises SceneError."""
         began = time.monotonic()
         _, splats = self._map.renderer.snapshot()
-        standing = put_in_map(self._file, splats, self._up, self._start, self._resolution)
+        standing = put_in_map(
+            self._file, splats, self._up, self._start, self._resolution, self._objects
+        )
         robot, (x, y, ground) = standing.robot, standing.place
         if not standing.has_room:
             self.get_logger().warning(f"no ground with room for a robot is near {x:g}, {y:g}")
         pose = standing.map_pose
-        eye = SplatCamera(robot.model, robot.data, self._map.renderer, map_pose=pose)
+        eye = SplatCamera(
+            robot.model, robot.data, self._map.renderer, map_pose=pose, riding=standing.riding
+        )
+        if self._bodies:
+            self._bodies.begin(self._map.frame_id, self._objects)
         if self._sensors is None:
             self._sensors = self._connect(robot)
         self._states.stand(robot, self._map.frame_id, pose)
@@ -300,6 +317,38 @@ class Simulate(Node):
         problem = self._problem.now
         state = "paused" if self._paused else "time passes"
         return Report(problem or state, figures, warns=bool(problem))
+
+
+class _Bodies:
+    """Publishes the objects as a map, in which each is a group that moves."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._publisher: MapPublisher | None = None
+
+    def begin(self, frame_id: str, objects: Mapping[str, Splats]) -> None:
+        """Publishes the objects where they are in the map."""
+        if self._publisher is None:
+            self._publisher = MapPublisher(self._node, topic="objects", frame_id=frame_id)
+        self._publisher.replace(next(iter(objects.values()))[:0])
+        for number, splats in enumerate(objects.values()):
+            self._publisher.append(splats, group=number)
+
+    def follow(self, robot: RobotModel, eye: SplatCamera) -> None:
+        """Moves them to where they are now."""
+        assert self._publisher
+        self._publisher.move(eye.riders.poses(robot.data, eye.map_pose))
+
+
+def _objects(files: list[str]) -> dict[str, Splats]:
+    """Splats of scene files, by names that are theirs without the ending. Raises SceneError."""
+    found: dict[str, Splats] = {}
+    for file in filter(None, files):
+        name = Path(file).stem
+        if name in found:
+            raise SceneError(f"parameter objects: two are named {shown(name)}")
+        found[name] = load(file)
+    return found
 
 
 @dataclass(frozen=True, eq=False)

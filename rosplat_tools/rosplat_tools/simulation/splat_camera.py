@@ -2,11 +2,13 @@
 
 How it works. MuJoCo draws the bodies (body_pictures.py). The rasteriser blends the splats whose
 centres are in front of a pixel's body, front to back, and what light is left shows the body: that
-is exact for translucent splats on either side of a body, and for bodies within the map.
+is exact for translucent splats on either side of a body, and for bodies within the map. Splats that
+ride on a body are a group whose pose follows it, drawn in one order with the map.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,11 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.cameras import Camera
-from rosplat_core.rendering import CpuRenderer, posed
-from rosplat_core.rigid import rigid
+from rosplat_core.quaternions import from_matrices
+from rosplat_core.rendering import CpuRenderer, insert_groups, move, posed
+from rosplat_core.rigid import placed, rigid
 from rosplat_core.splats import Splats
 from rosplat_tools.simulation.body_pictures import BodyPicture, BodyPictures, NoGL, camera_of
 from rosplat_tools.simulation.physics import load_mujoco
+
+Array = NDArray[np.float64]
 
 SURFACE = 0.5  # least share of the light that a surface of splats takes away
 
@@ -48,6 +53,7 @@ class SplatCamera:
         splats: Splats | CpuRenderer,
         *,
         map_pose: ArrayLike | None = None,
+        riding: Mapping[str, tuple[Splats, ArrayLike]] | None = None,
         width: int = 640,
         height: int = 360,
         near: float = 0.02,
@@ -55,16 +61,20 @@ class SplatCamera:
     ) -> None:
         """model, data: MjModel and MjData. splats: a map, or a renderer that holds one, which
         several SplatCameras may share. map_pose: (4, 4) the map's pose in MuJoCo's world [m].
+        riding: by the name of a body, splats that move with it, and their pose (4, 4) in its frame.
         width, height: of pictures of cameras without a resolution of their own [px]. near, far:
         distances between which things are drawn [m].
 
         Where nothing draws with OpenGL, pictures are of the map alone, and `problem` says why.
-        Raises ValueError for a pose that is none, SceneError where MuJoCo is not installed.
+        Raises ValueError for a pose that is none and a body that there is not, SceneError where
+        MuJoCo is not installed.
         """
         self._mj = load_mujoco()
         self._model, self._data = model, data
         self.renderer = splats if isinstance(splats, CpuRenderer) else CpuRenderer(splats)
         self.map_pose = rigid(np.eye(4) if map_pose is None else map_pose, "map_pose")
+        self.riders = Riders(model, riding or {})
+        """The splats that ride on bodies."""
         self._size, self._clip = (width, height), (near, far)
         self.problem = ""
         """Why bodies are not drawn; empty if they are."""
@@ -88,7 +98,10 @@ class SplatCamera:
         )
         in_map = Camera(**(vars(lens) | {"world_to_camera": lens.world_to_camera @ self.map_pose}))
         drawn = self.renderer.draw(
-            posed(in_map), median_depth=True, scene_depth=solid.depth if solid else None
+            posed(in_map),
+            beside=self.riders.at(self._data, self.map_pose),
+            median_depth=True,
+            scene_depth=solid.depth if solid else None,
         )
         return _together(drawn["colour"], drawn["depth"][..., 0], solid, lens, bodies)
 
@@ -109,6 +122,43 @@ class SplatCamera:
         if self._bodies:
             self._bodies.close()
         self._bodies, self.problem = None, "closed"
+
+
+class Riders:
+    """Splats that ride on bodies of a MuJoCo model, each body's in a group of their own."""
+
+    def __init__(self, model: Any, riding: Mapping[str, tuple[Splats, ArrayLike]]) -> None:
+        """riding: as of SplatCamera. Raises ValueError."""
+        mj = load_mujoco()
+        self._bodies: list[tuple[int, Array]] = []
+        for name, (_, pose) in riding.items():
+            body = mj.mj_name2id(model, mj.mjtObj.mjOBJ_BODY, name)
+            if body < 0:
+                raise ValueError(f"riding: the model has no body '{name}'")
+            self._bodies.append((body, rigid(pose, f"riding['{name}']")))
+        self._renderer = CpuRenderer()
+        self._revision = insert_groups(self._renderer, [splats for splats, _ in riding.values()])
+
+    def at(self, data: Any, map_pose: Array) -> list[CpuRenderer]:
+        """The renderers to draw beside a map, with their splats where the bodies are now.
+
+        data: MjData. map_pose: (4, 4) the map's pose in MuJoCo's world [m].
+        """
+        if not self._bodies:
+            return []
+        self._revision += 1
+        move(self._renderer, self.poses(data, map_pose), self._revision)
+        return [self._renderer]
+
+    def poses(self, data: Any, map_pose: Array) -> dict[int, tuple[float, ...]]:
+        """By number, each one's pose in the map's frame: x y z [m], quaternion x y z w."""
+        from_world = np.linalg.inv(map_pose)
+        poses = {}
+        for number, (body, pose) in enumerate(self._bodies):
+            in_map = from_world @ placed(data.xpos[body], data.xmat[body]) @ pose
+            turn = from_matrices(in_map[:3, :3])
+            poses[number] = (*in_map[:3, 3].tolist(), *turn.tolist())
+        return poses
 
 
 def _together(

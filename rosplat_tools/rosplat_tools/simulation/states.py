@@ -12,11 +12,12 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 
+from rosplat_core.rigid import placed
 from rosplat_ros.poses import to_pose
 from rosplat_ros.qos import FIRST_VIEW, overridable
 from rosplat_tools.frames import TF, TFMessage, transform
 from rosplat_tools.simulation.body_pictures import OPTICAL
-from rosplat_tools.simulation.robot_model import RobotModel, placed
+from rosplat_tools.simulation.robot_model import RobotModel
 
 try:  # which environments from PyPI may lack
     from visualization_msgs.msg import MarkerArray
