@@ -28,13 +28,14 @@ from rosplat_core.formats import (
 )  # fmt: skip
 from rosplat_core.log_text import counted, shown
 from rosplat_core.models import Model
+from rosplat_core.occupancy import RESOLUTION
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
 from rosplat_core.round_trip import report
 from rosplat_core.scenes import NAMES, load_scene
 from rosplat_core.splats import LONGEST_ERROR, Splats
 from rosplat_core.upright import find_up, standing_pose
-from rosplat_tools.simulation.solids import RESOLUTION, save_solids, solids
+from rosplat_tools.simulation.solids import save_solids, solids
 
 MJCF, FIELD = ".xml", ".npz"
 

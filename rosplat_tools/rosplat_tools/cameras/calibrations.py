@@ -128,7 +128,7 @@ def _f_theta(content: dict[str, Any]) -> Lens:
         return _numbers({"data": content.get(key)}, key, count)
 
     width, height = map(int, numbers("resolution", 2))
-    centre = numbers("principal_point", 2)
+    cx, cy = numbers("principal_point", 2)
     forward, back = numbers("angle_to_pixeldist_poly", 6), numbers("pixeldist_to_angle_poly", 6)
     c, d, e = numbers("linear_cde", 3) if "linear_cde" in content else (1.0, 0.0, 0.0)
     if max(abs(d), abs(e)) * max(width, height) > _MOST_SKEW:
@@ -144,7 +144,7 @@ def _f_theta(content: dict[str, Any]) -> Lens:
     elif reference != "ANGLE_TO_PIXELDIST":
         known = "ANGLE_TO_PIXELDIST or PIXELDIST_TO_ANGLE"
         raise LensError(f"reference_poly is {shown(reference)!r}, expected {known}")
-    return Lens(width, height, c * focal, focal, *centre, F_THETA, tuple(coefficients))
+    return Lens(width, height, c * focal, focal, cx, cy, F_THETA, tuple(coefficients))
 
 
 def _numbers(matrix: Any, key: str, count: int | None) -> list[float]:

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.first_look import sample
+from rosplat_core.occupancy import RESOLUTION
 from rosplat_core.rigid import placed
 from rosplat_core.splats import SceneError, Splats
 from rosplat_core.upright import standing_pose
 from rosplat_tools.simulation.physics import compiled, load_mujoco, read_spec
 from rosplat_tools.simulation.solids import (
     BODY,
-    RESOLUTION,
     Boxes,
     add_object,
     add_solids,

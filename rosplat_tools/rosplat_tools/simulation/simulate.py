@@ -26,6 +26,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from rosplat_core.formats import load
 from rosplat_core.log_text import counted, shown
+from rosplat_core.occupancy import RESOLUTION
 from rosplat_core.splats import SceneError, Splats
 from rosplat_msgs.msg import FirstView
 from rosplat_ros.diagnostics import Diagnostics, Report
@@ -51,7 +52,6 @@ from rosplat_tools.simulation.sensors import (
     stamp_of,
     ticks_of,
 )
-from rosplat_tools.simulation.solids import RESOLUTION
 from rosplat_tools.simulation.splat_camera import SplatCamera
 from rosplat_tools.simulation.states import States
 
