@@ -26,7 +26,7 @@ from rosplat_core.simplification import search, simplify
 from rosplat_core.simplification.judging import Judge, Trial
 from rosplat_core.simplification.merging import find_pairs, merge
 from rosplat_core.simplification.search import Learnt, Simplification
-from rosplat_core.simplification.views import Around, resized
+from rosplat_core.simplification.views import Around, resized, whereabouts
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import SceneError, Splats
 from rosplat_lab.simplify.command import main
@@ -64,6 +64,18 @@ def test_views_are_those_of_their_seed_and_of_no_other(garden: Splats) -> None:
     )
     places = np.array([camera.position for camera in [*first, *others]])
     assert len(np.unique(places, axis=0)) == 12
+
+
+def test_half_of_the_views_look_at_the_middle_from_near_and_far_alike(garden: Splats) -> None:
+    here = whereabouts(garden)
+    away = [
+        np.linalg.norm(camera.position - here.centre) / here.radius
+        for camera in Around(garden).cameras(200, 0)[::2]
+    ]
+    near, far = 0.5, 2.4
+    assert near < min(away) < 0.8 * math.sqrt(near * far)
+    assert 1.2 * math.sqrt(near * far) < max(away) < far * (1 + 1e-9)
+    assert 25 < sum(distance < math.sqrt(near * far) for distance in away) < 60
 
 
 def test_what_no_view_sees_counts_for_little(garden: Splats) -> None:

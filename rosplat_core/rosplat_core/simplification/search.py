@@ -210,8 +210,8 @@ class Simplification:
             self.learnt.look_again(trial, cameras, tell)
             tell = self._telling_of("finding what contributes to half as many views again")
             self.learnt.look(trial, self.learnt.drawn // 2, tell)
-            if self._rounds == ROUNDS:  # about half of what is missed is learnt
-                bound += (bound - psnr_of(exceeded(self._errors[new]))) / 2
+            if self._rounds == ROUNDS:  # no other search will make up for what this one misses
+                bound += bound - psnr_of(exceeded(self._errors[new]))
             self._search(bound)
 
     def look_anew(self) -> int:

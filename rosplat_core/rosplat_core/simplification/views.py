@@ -28,7 +28,7 @@ REMOTEST = 1e12  # most distance of a map from zero, in its radii: cameras are i
 CELLS = 16  # of the grid that tells free places, in a radius
 OPAQUE = 0.3  # least opacity of splats that no camera is put beside
 PATIENCE = 64  # tries to find a free place for a camera
-ORBITS = 1.0, 2.4  # distances of cameras around a map from its middle, in its radii
+ORBITS = 0.5, 2.4  # distances of cameras around a map from its middle, in its radii
 LOWEST, HIGHEST = -15, 75  # their elevations [deg]
 OFF = 0.15  # standard deviation of what they look at from the middle, in radii
 ASTRAY = 20  # by which cameras within are turned at most, each way [deg]
@@ -81,8 +81,9 @@ class Views(Protocol):
 class Around:
     """Cameras where a map is looked at from.
 
-    Within, where the map surrounds its free places, as rooms do. Else half of them orbit its
-    middle, and half are at free places, near and far, and look at some splat.
+    Within, where the map surrounds its free places, as rooms do. Else half of them look at its
+    middle from around, each octave of the distance as often, and half are at free places, near and
+    far, and look at some splat.
     """
 
     margin: float | None = None
@@ -129,15 +130,20 @@ class Around:
         return eye, eye + turn.apply(ahead)
 
     def _orbiting(self, random: np.random.Generator) -> tuple[Point, Point]:
+        radius, centre = self._here.radius, self._here.centre
         low, high = np.sin(np.radians([LOWEST, HIGHEST]))
         up = self._up / np.linalg.norm(self._up)
-        outward = np.cross(up, _direction(random))
-        outward *= math.sqrt(1 - (height := random.uniform(low, high)) ** 2) / np.linalg.norm(
-            outward
-        )
-        radius, centre = self._here.radius, self._here.centre
-        eye = centre + random.uniform(*ORBITS) * radius * (outward + height * up)
-        return eye, centre + OFF * radius * random.normal(size=3)
+        for _ in range(PATIENCE):
+            level = np.cross(up, _direction(random))
+            level /= np.linalg.norm(level)
+            height = random.uniform(low, high)
+            outward = np.exp(random.uniform(*np.log(ORBITS))) * radius
+            outward *= math.sqrt(1 - height**2) * level + height * up
+            if not _beside(outward, self._taken, radius):
+                break
+        else:
+            outward *= ORBITS[1] * radius / np.linalg.norm(outward)
+        return centre + outward, centre + OFF * radius * random.normal(size=3)
 
     def _free(self, random: np.random.Generator) -> tuple[Point, Point]:
         radius, centre = self._here.radius, self._here.centre
