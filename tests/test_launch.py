@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,6 +16,7 @@ import pytest
 import yaml
 
 from rosplat_ros.program.middleware import FAST_DDS_WISHES
+from rosplat_testing import PATIENCE
 
 if TYPE_CHECKING:
     from launch import LaunchContext
@@ -286,3 +290,29 @@ def test_an_argument_that_makes_no_sense_is_named(said: dict[str, str]) -> None:
     ((name, value),) = said.items()
     with pytest.raises(ValueError, match=f"{name}: expected .*, got '{value}'"):
         started(launch=ROBOTS, scenes="{robot1: a.ply}", **said)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_what_a_launch_starts_ends_with_it(number: signal.Signals) -> None:
+    command = ["ros2", "launch", str(ROBOTS), "scenes:={ended: 'procedural:100'}"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as launch:
+        children = Path(f"/proc/{launch.pid}/task/{launch.pid}/children")
+
+        def publishers() -> list[Path]:
+            of = [Path(f"/proc/{pid}") for pid in children.read_text().split()]
+            return [each for each in of if b"ply_publisher" in (each / "cmdline").read_bytes()]
+
+        try:
+            until(publishers)
+            (publisher,) = publishers()
+        finally:
+            launch.send_signal(number)
+            launch.wait(PATIENCE)
+    until(lambda: not publisher.exists())
+
+
+def until(reached: Callable[[], object]) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not reached():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)

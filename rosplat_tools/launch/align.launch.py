@@ -5,13 +5,12 @@ from __future__ import annotations
 from launch import LaunchContext, LaunchDescription
 from launch.actions import OpaqueFunction
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
 from rosplat_ros.program.launching import (
     SCENE,
     declared,
     is_true,
+    program,
     room_for_maps,
     scene_publisher,
 )
@@ -33,17 +32,9 @@ def generate_launch_description() -> LaunchDescription:
 
 def _programs(context: LaunchContext) -> list[object]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    align = Node(
-        package="rosplat_tools",
-        executable="align",
-        name="align",
-        parameters=[
-            {
-                "rectified": is_true(given, "rectified"),
-                "broadcast": ParameterValue(given["broadcast"], value_type=str),
-            }
-        ],
-        remappings=[("image_raw", given["image"]), ("camera_info", given["camera_info"])],
-        output="screen",
-    )
+    align = program(
+        "rosplat_tools", "align",
+        ("image_raw", given["image"]), ("camera_info", given["camera_info"]),
+        rectified=is_true(given, "rectified"), broadcast=given["broadcast"],
+    )  # fmt: skip
     return [*room_for_maps(context), align, *scene_publisher(given)]

@@ -14,7 +14,7 @@ from launch.event_handlers import OnProcessIO
 from launch.events.process import ProcessIO
 from launch.substitutions import LaunchConfiguration
 
-from rosplat_ros.program.launching import declared, is_true, room_for_maps
+from rosplat_ros.program.launching import ENDS_WITH_LAUNCH, declared, is_true, room_for_maps
 
 ARGUMENTS = {
     "topic": ("/gaussians", "Topic of the map, with its namespace"),
@@ -39,7 +39,7 @@ def _recorder(context: LaunchContext) -> list[ExecuteProcess | RegisterEventHand
     command = ["ros2", "bag", "record", "-a", exclude, f"(/gaussians|{topic})/(view|order)$"]
     command += ["--qos-profile-overrides-path", str(_qos(topic))]
     command += ["--output", given["output"]] if given["output"] else []
-    recorder = ExecuteProcess(cmd=command, output="screen")
+    recorder = _command(command)
     actions = [*room_for_maps(context), recorder]
     if is_true(given, "repeat"):
         request = ["ros2", "service", "call", f"{topic}/repeat", "rosplat_msgs/srv/RepeatMap"]
@@ -48,12 +48,17 @@ def _recorder(context: LaunchContext) -> list[ExecuteProcess | RegisterEventHand
         def hear(event: ProcessIO) -> list[ExecuteProcess]:
             if repeats or f"Subscribed to topic '{topic}'" not in event.text.decode():
                 return []
-            repeats.append(ExecuteProcess(cmd=request, output="screen"))
+            repeats.append(_command(request))
             return repeats
 
         told = OnProcessIO(target_action=recorder, on_stdout=hear, on_stderr=hear)
         actions.insert(0, RegisterEventHandler(told))
     return actions
+
+
+def _command(words: list[str]) -> ExecuteProcess:
+    """A call of ros2, which ends with the launch."""
+    return ExecuteProcess(cmd=words, prefix=ENDS_WITH_LAUNCH, name="ros2", output="screen")
 
 
 def _qos(topic: str) -> Path:

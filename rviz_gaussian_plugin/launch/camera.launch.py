@@ -10,7 +10,13 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node, PushRosNamespace, SetRemap
 
-from rosplat_ros.program.launching import declared, publisher, room_for_maps, whole_number
+from rosplat_ros.program.launching import (
+    declared,
+    program,
+    publisher,
+    room_for_maps,
+    whole_number,
+)
 
 FOLDER = Path(__file__).parent
 ARGUMENTS = {
@@ -45,25 +51,16 @@ def generate_launch_description() -> LaunchDescription:
 def _programs(context: LaunchContext) -> list[Node | GroupAction]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     filmed = given["filmed"]
-    camera = Node(
-        package="rosplat_tools",
-        executable="camera",
-        name="camera",
-        parameters=[{"cameras": ["filmed"], "filmed.frame_id": "demo_camera_optical"}],
-        remappings=[("gaussians", "filmed/gaussians")] if filmed else [],
-        output="screen",
-    )
-    compare = Node(
-        package="rosplat_tools",
-        executable="compare",
-        name="compare",
-        parameters=[{"attribute": True}],
-        remappings=[(name, f"filmed/{name}") for name in ("image_raw", "camera_info")],
-        output="screen",
-    )
+    other = [("gaussians", "filmed/gaussians")] if filmed else []
+    camera = program(
+        "rosplat_tools", "camera", *other,
+        cameras=["filmed"], **{"filmed.frame_id": "demo_camera_optical"},
+    )  # fmt: skip
+    pictures = [(name, f"filmed/{name}") for name in ("image_raw", "camera_info")]
+    compare = program("rosplat_tools", "compare", *pictures, attribute=True)
     if not filmed:
         return [camera, compare]
-    other = publisher(filmed, "map", whole_number(given, "max_splats"))
+    scene = publisher(filmed, "map", whole_number(given, "max_splats"))
     return [
-        GroupAction([*room_for_maps(context), PushRosNamespace("filmed"), other]), camera, compare,
+        GroupAction([*room_for_maps(context), PushRosNamespace("filmed"), scene]), camera, compare,
     ]  # fmt: skip

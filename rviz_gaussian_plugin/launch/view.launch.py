@@ -10,6 +10,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node, SetParameter, SetRemap
 
 from rosplat_ros.program.launching import (
+    ENDS_WITH_LAUNCH,
     SCENE,
     declared,
     is_true,
@@ -95,6 +96,8 @@ def _rviz(given: dict[str, str], sensors: bool, obstacles: bool) -> Node:
         name="rviz2",
         arguments=["-d", config, f"--fixed-frame={fixed_frame}"],
         remappings=[(f"/{topic}", meant) for topic, meant in shown.items()],
+        prefix=ENDS_WITH_LAUNCH,
+        exec_name="rviz2",
         output="screen",
         on_exit=[Shutdown(reason="rviz2 was closed")],
     )

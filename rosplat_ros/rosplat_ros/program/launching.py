@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 
-from launch import LaunchContext
+from launch import LaunchContext, SomeSubstitutionsType
 from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -29,6 +31,12 @@ SCENE = {
     ),
     "max_splats": ("2000000", "The most splats of a streamed scene that the map holds"),
 }
+
+# Before the command of a program: it ends with the launch, even with one that is killed.
+ENDS_WITH_LAUNCH: SomeSubstitutionsType = [
+    "setpriv --pdeathsig TERM " if shutil.which("setpriv") else "",
+    LaunchConfiguration("launch-prefix", default=""),
+]
 
 
 def declared(arguments: Mapping[str, tuple[str, str]]) -> list[DeclareLaunchArgument]:
@@ -69,8 +77,10 @@ def number(given: Mapping[str, str], name: str) -> float:
         raise ValueError(f"{name}: expected a number, got '{given[name]}'") from error
 
 
-def program(package: str, executable: str, **parameters: object) -> Node:
-    """A node named like its executable."""
+def program(
+    package: str, executable: str, *remappings: tuple[str, str], **parameters: object
+) -> Node:
+    """A node named like its executable, which ends with the launch."""
     typed = {  # a path of digits stays a text
         name: value if isinstance(value, list) else ParameterValue(value, value_type=type(value))
         for name, value in parameters.items()
@@ -80,6 +90,9 @@ def program(package: str, executable: str, **parameters: object) -> Node:
         executable=executable,
         name=executable,
         parameters=[typed],
+        remappings=remappings,
+        prefix=ENDS_WITH_LAUNCH,
+        exec_name=executable,  # in the log, not the prefix's
         output="screen",
     )
 
