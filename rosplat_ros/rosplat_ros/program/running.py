@@ -158,7 +158,7 @@ def _ended_within(seconds: float) -> Iterator[None]:
     Fast DDS 2.14 may wait for itself while other nodes end, and rclpy for it with Python's lock, so
     that no signal helps. faulthandler's thread needs no lock.
     """
-    faulthandler.dump_traceback_later(seconds, exit=True, file=sys.__stderr__)
+    faulthandler.dump_traceback_later(seconds, exit=True, file=2)  # sys.stderr may be a test's
     try:
         yield
     finally:
