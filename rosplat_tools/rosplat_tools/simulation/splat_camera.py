@@ -147,18 +147,20 @@ class Riders:
         if not self._bodies:
             return []
         self._revision += 1
-        move(self._renderer, self.poses(data, map_pose), self._revision)
+        poses = {
+            number: (*pose[:3, 3].tolist(), *from_matrices(pose[:3, :3]).tolist())
+            for number, pose in self.poses(data, map_pose).items()
+        }
+        move(self._renderer, poses, self._revision)
         return [self._renderer]
 
-    def poses(self, data: Any, map_pose: Array) -> dict[int, tuple[float, ...]]:
-        """By number, each one's pose in the map's frame: x y z [m], quaternion x y z w."""
+    def poses(self, data: Any, map_pose: Array) -> dict[int, Array]:
+        """By number, each one's pose (4, 4) in the map's frame. [m]"""
         from_world = np.linalg.inv(map_pose)
-        poses = {}
-        for number, (body, pose) in enumerate(self._bodies):
-            in_map = from_world @ placed(data.xpos[body], data.xmat[body]) @ pose
-            turn = from_matrices(in_map[:3, :3])
-            poses[number] = (*in_map[:3, 3].tolist(), *turn.tolist())
-        return poses
+        return {
+            number: from_world @ placed(data.xpos[body], data.xmat[body]) @ pose
+            for number, (body, pose) in enumerate(self._bodies)
+        }
 
 
 def _together(
