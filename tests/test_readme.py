@@ -393,8 +393,11 @@ def test_commands_and_their_parameters_exist(page: Path) -> None:
         sources = "".join(path.read_text() for path in (ROOT / package).rglob("*.py"))
         for name in re.findall(r"-p (?:\w+\.)*(\w+):=", rest):
             assert re.search(rf'[".]{name}"', sources), f"{program}: {name}"
+    shared = (ROOT / "rosplat_ros/rosplat_ros/program/launching.py").read_text()
+    scene = shared.split("\nSCENE = ")[1].split("\n}\n")[0]
     for package, file, rest in re.findall(r"ros2 launch (\w+) (\S+)([^\n`]*)", text):
         launch = (Path(get_package_share_directory(package)) / "launch" / file).read_text()
+        launch = launch.replace("**SCENE,", scene)
         for name in re.findall(r"(\w+):=", rest):
             assert f'"{name}"' in launch, f"{file}: {name}"
     makefile = (ROOT / "Makefile").read_text()
