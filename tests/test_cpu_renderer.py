@@ -12,9 +12,10 @@ import pytest
 
 from drawing import CAMERAS, camera_at, cloud, decibels, draw
 from rosplat_core import rendering
-from rosplat_core.cameras import load_cameras
+from rosplat_core.cameras import Camera, load_cameras, look_at
 from rosplat_core.formats import load
 from rosplat_core.generated import generate
+from rosplat_core.generated.rooms import Rooms, middle
 from rosplat_core.models import Model
 from rosplat_core.rendering import (
     CpuRenderer,
@@ -24,6 +25,8 @@ from rosplat_core.rendering import (
     render,
 )
 from rosplat_lab import reference
+from rosplat_lab.reference.rays import rays_of
+from rosplat_lab.reference.room_rays import meet
 
 INSTRUCTIONS = [Instructions.PLAIN, Instructions.AVX2, Instructions.AVX512]
 
@@ -58,7 +61,7 @@ def test_matches_the_float64_twin(renderer: CpuRenderer, view: str, model: Model
 def test_the_median_depth_is_the_twin_s(renderer: CpuRenderer, view: str) -> None:
     insert_all(renderer, cloud())
     drawn = draw(renderer, CAMERAS[view], median_depth=True)
-    expected = reference.render(cloud(), CAMERAS[view])
+    expected = reference.render(renderer.snapshot()[1], CAMERAS[view])
     median = drawn["depth"][..., 0]
     assert np.isfinite(median).mean() > 0.2  # there was something to see
     # Next to half, one takes the splat before.
@@ -68,6 +71,27 @@ def test_the_median_depth_is_the_twin_s(renderer: CpuRenderer, view: str) -> Non
     np.testing.assert_array_equal(np.isnan(median)[clear], np.isnan(expected.median)[clear])
     with pytest.raises(ValueError, match="a picture has one depth"):
         draw(renderer, CAMERAS[view], median_depth=True, mean_depth=True)
+
+
+def test_depths_are_those_of_surfaces_not_of_centres() -> None:
+    """In rooms of few, large splats, whose surfaces are known."""
+    rooms = Rooms(np.random.default_rng(0))
+    eye = (*middle(0, 0), 1.5)
+    camera = Camera(0, 160, 120, 95.0, 95.0, 80.0, 60.0, look_at(eye, np.add(eye, (1, 0.3, -0.3))))
+    rays = rays_of(camera).reshape(-1, 3)
+    lengths = np.linalg.norm(rays, axis=1)
+    directions = rays / lengths[:, None] @ camera.world_to_camera[:3, :3]
+    distances = meet(rooms, np.tile(camera.position, (len(rays), 1)), directions).distances
+    known = (distances / lengths).reshape(120, 160)
+    splats = generate(60_000, sh_degree=0, scene="rooms")
+
+    def within(depths: np.ndarray) -> float:
+        return float((np.abs(depths / known - 1) < 0.01).mean())
+
+    drawn = draw(CpuRenderer(splats), camera, median_depth=True)["depth"][..., 0]
+    assert (
+        within(drawn) > 0.75 > 0.4 > within(reference.render(splats, camera, planes=False).median)
+    )
 
 
 @pytest.mark.parametrize("view", CAMERAS)

@@ -190,7 +190,7 @@ def test_points_are_where_the_lens_has_them(lens: Lens) -> None:
         brightest = np.unravel_index(window.argmax(), window.shape)
         assert (brightest[0] + max(y - 4, 0), brightest[1] + max(x - 4, 0)) == (y, x)
         assert picture.depth is not None
-        assert picture.depth[y, x] == pytest.approx(place[2], rel=1e-5)
+        assert picture.depth[y, x] == pytest.approx(place[2], rel=1e-3)  # within the splat
 
 
 def test_a_wide_fisheye_sees_what_narrow_cameras_see() -> None:

@@ -371,9 +371,9 @@ def test_orders_that_travelled_are_drawn_like_those_given(host: Host) -> None:
     assert not host.renderer.has_order("test")  # no such slot
 
 
-def test_depth_is_the_mean_along_the_axis(host: Host) -> None:
+def test_depth_is_the_mean_of_centres_along_the_axis(host: Host) -> None:
     splats = cloud(400)
-    expected = reference.render(splats, CAMERAS["outside"])
+    expected = reference.render(splats, CAMERAS["outside"], planes=False)
     host.show(splats)
     host.draw(CAMERAS["outside"])
     depth = host.renderer.read_depth()

@@ -156,6 +156,7 @@ py::dict drawOnCpu(CpuRenderer& renderer, SplatCamera camera, bool mean_depth, b
   for (const CpuRenderer* other : beside) request.layers.push_back(layerOf(*other, camera));
   if (mean_depth) request.depth = PictureDepth::kMean;
   if (median_depth) request.depth = PictureDepth::kMedian;
+  request.planes = true;
   request.scene_depth = opaque;
   if (samples) {
     const auto& [begins, x, y, axis] = *samples;

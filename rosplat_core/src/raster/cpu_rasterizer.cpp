@@ -214,6 +214,8 @@ void CpuRasterizer::Work::setViews(const PictureRequest& request) {
   }
   conics = std::any_of(layers.begin(), layers.end(),
                        [](const SeenLayer& layer) { return !isEwa(layer.project.model); });
+  planes = request.planes && request.depth != PictureDepth::kNone && !conics;
+  for (SeenLayer& layer : layers) layer.project.planes = planes;
   ordered = request.order.has_value();
   if (ordered) setOrder(*request.layers.front().slots, *request.order);
   pages.clear();

@@ -519,8 +519,8 @@ ROSPLAT_INLINED Imaged imagedBy(const ProjectView& view, const Vec3& p) {
           fy * Vec3{-n.y * bend.x, g - n.y * bend.y, -n.y * bend.z}, w <= lens.end};
 }
 
-// kLens: ellipses in a lens's picture.
-template <bool kConic, bool kLens>
+// kLens: ellipses in a lens's picture. kPlanes: ellipses that have planes.
+template <bool kConic, bool kLens, bool kPlanes>
 std::size_t projectAs(const ProjectView& given, const PageSlots& page,
                       const std::uint16_t* places_of, std::size_t count, Record* records,
                       RayShape* shapes, Footprint* footprints, std::uint16_t* kept) {
@@ -636,6 +636,16 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
       det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
       if (view.model == Model::kEwaAntialiased) opacity *= sqrt(det0 / det);
     }
+    Vec2 slope;
+    if constexpr (kPlanes) {  // what the depth is expected to be, given the place in the picture
+      const auto along = [&](const Vec3& axis) {
+        return ahead[0] * axis.x + ahead[1] * axis.y + ahead[2] * axis.z;
+      };
+      const Vec3 rise =
+          scale * Vec3{along(orientation[0]), along(orientation[1]), along(orientation[2])};
+      const Floats of_x = dot(m[0], rise), of_y = dot(m[1], rise), over = 1.0f / det;
+      slope = {over * (c * of_x - b * of_y), over * (a * of_y - b * of_x)};
+    }
 
     const Floats mid = 0.5f * (a + c), half = 0.5f * (a - c), radius = sqrt(half * half + b * b);
     Floats major = mid + radius, minor = det / major;
@@ -667,7 +677,6 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
     }
     const Floats reach_x = sigmas * sqrt(outline.a);
     Floats reach_y = sigmas * sqrt(outline.c);
-    const Floats depth = kLens ? max(p.z, Floats{}) : p.z;
     const Floats window_depth = windowDepthOf(view, p.z);
     PixelSpan columns = pixelsIn(outline.x - reach_x, outline.x + reach_x, int(view.width));
     PixelSpan lines = pixelsIn(outline.y - reach_y, outline.y + reach_y, int(view.height));
@@ -750,7 +759,7 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
 
     const Floats fields_of[] = {x,           y,          axis.x * u, axis.y * u,
                                 -axis.y * v, axis.x * v, kept_peak,  colour.x,
-                                colour.y,    colour.z,   depth,      window_depth};
+                                colour.y,    colour.z,   p.z,        window_depth};
     constexpr int kFields = sizeof(fields_of) / sizeof(Floats);
     static_assert(kFields == offsetof(Record, left) / sizeof(float));
     for (int i = 0; i < lanes; ++i) {
@@ -790,6 +799,7 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
           record.depth = aside.distance[i];
         }
       }
+      if constexpr (kPlanes) shapes[n] = {slope.x[i], slope.y[i], 0, 0, 0, 0, 0, 0};
       Footprint& footprint = footprints[n];
       footprint.top = std::int16_t(rows_of_tiles.first[i]);
       footprint.bottom = std::int16_t(rows_of_tiles.last[i]);
@@ -818,14 +828,15 @@ std::size_t project(const ProjectView& view, const PageSlots& page, const std::u
                     std::size_t count, Record* records, RayShape* shapes, Footprint* footprints,
                     std::uint16_t* kept) {
   if (view.model == Model::kRay || view.model == Model::kDisc) {
-    return projectAs<true, false>(view, page, places, count, records, shapes, footprints, kept);
+    return projectAs<true, false, false>(view, page, places, count, records, shapes, footprints,
+                                         kept);
   }
-  if (view.lens.cubics) {
-    return projectAs<false, true>(view, page, places, count, records, nullptr, footprints, kept);
-  }
-  const std::size_t n =
-      projectAs<false, false>(view, page, places, count, records, nullptr, footprints, kept);
-  for (std::size_t i = 0; shapes && i < n; ++i) {
+  const auto as = view.lens.cubics
+                      ? (view.planes ? projectAs<false, true, true> : projectAs<false, true, false>)
+                  : view.planes ? projectAs<false, false, true>
+                                : projectAs<false, false, false>;
+  const std::size_t n = as(view, page, places, count, records, shapes, footprints, kept);
+  for (std::size_t i = 0; shapes && !view.planes && i < n; ++i) {
     shapes[i] = {0, 0, 0, __builtin_inff(), 0, 0, 0, 1};
   }
   return n;
@@ -895,10 +906,12 @@ void atSamples(const TileSamples& samples, int top, const Record& e, const RaySh
 
 // Calls blendOf(record)(pixel, exponents, covered, depths) for each splat of a tile, nearest first,
 // and for each vector of pixels in the splat's box, until nothing behind can be seen. Returns
-// whether that is so at the end. kConic: the splats have shapes.
-template <bool kConic, typename BlendOf>
+// whether that is so at the end.
+enum class Shape { kFlat, kPlane, kConic };
+template <Shape kShape, typename BlendOf>
 bool walk(const ListedTile& tile, const float* transmittance, const float* behind, float ends_at,
           const BlendOf& blendOf) {
+  constexpr bool kConic = kShape == Shape::kConic;
   const Floats columns = counting();
   const Listed* const listed = tile.listed;
   const Record* const records = tile.records;
@@ -908,7 +921,7 @@ bool walk(const ListedTile& tile, const float* transmittance, const float* behin
     if (k % kPatience == 0 && ended(transmittance, behind, ends_at)) return true;
     if (k + kAhead < count) {
       __builtin_prefetch(records + listed[k + kAhead].record);
-      if (kConic) __builtin_prefetch(tile.shapes + listed[k + kAhead].record);
+      if (kShape != Shape::kFlat) __builtin_prefetch(tile.shapes + listed[k + kAhead].record);
     }
     const Record& e = records[listed[k].record];
     const auto blend = blendOf(e);
@@ -958,11 +971,20 @@ bool walk(const ListedTile& tile, const float* transmittance, const float* behin
           });
         }
       } else {
+        Floats plane = depth;
+        float deeper = 0;
+        if constexpr (kShape == Shape::kPlane) {
+          const RayShape& shape = tile.shapes[listed[k].record];
+          deeper = shape.tilt_y;
+          plane += shape.tilt_x * (columns + (float(column) + dx)) + deeper * dy;
+        }
         for (int row = first; row < last; ++row) {
           const Floats exponent = fma(-v, v, fma(-u, u, peak));
-          blend(kTile * row + column, exponent, exponent >= end, depth);
+          const Floats seen = kShape == Shape::kPlane ? max(plane, Floats{}) : depth;
+          blend(kTile * row + column, exponent, exponent >= end, seen);
           u += down_u;
           v += down_v;
+          if constexpr (kShape == Shape::kPlane) plane += deeper;
         }
       }
     }
@@ -997,10 +1019,10 @@ ROSPLAT_INLINED void blendInto(TilePixels& into, int pixel, Floats falloff, Ints
   }
 }
 
-template <bool kConic, PictureDepth kDepth, bool kOpaque, bool kDivided>
+template <Shape kShape, PictureDepth kDepth, bool kOpaque, bool kDivided>
 bool blendAs(const BlendTile& tile) {
   TilePixels& pixels = *tile.pixels;
-  return walk<kConic>(
+  return walk<kShape>(
       tile, pixels.transmittance, kDivided ? tile.behind->transmittance : nullptr, tile.ends_at,
       [&](const Record& e) {
         const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
@@ -1021,30 +1043,31 @@ bool blendAs(const BlendTile& tile) {
       });
 }
 
-template <bool kConic, PictureDepth kDepth>
+template <Shape kShape, PictureDepth kDepth>
 bool blendWith(const BlendTile& tile) {
   if (tile.divided) {
-    return tile.opaque ? blendAs<kConic, kDepth, true, true>(tile)
-                       : blendAs<kConic, kDepth, false, true>(tile);
+    return tile.opaque ? blendAs<kShape, kDepth, true, true>(tile)
+                       : blendAs<kShape, kDepth, false, true>(tile);
   }
-  return tile.opaque ? blendAs<kConic, kDepth, true, false>(tile)
-                     : blendAs<kConic, kDepth, false, false>(tile);
+  return tile.opaque ? blendAs<kShape, kDepth, true, false>(tile)
+                     : blendAs<kShape, kDepth, false, false>(tile);
 }
 
-template <bool kConic>
+template <Shape kShape>
 bool blendTo(const BlendTile& tile, PictureDepth depth) {
-  if (depth == PictureDepth::kMean) return blendWith<kConic, PictureDepth::kMean>(tile);
-  if (depth == PictureDepth::kMedian) return blendWith<kConic, PictureDepth::kMedian>(tile);
-  return blendWith<kConic, PictureDepth::kNone>(tile);
+  if (depth == PictureDepth::kMean) return blendWith<kShape, PictureDepth::kMean>(tile);
+  if (depth == PictureDepth::kMedian) return blendWith<kShape, PictureDepth::kMedian>(tile);
+  return blendWith<kShape, PictureDepth::kNone>(tile);
 }
 
 bool blend(const BlendTile& tile, PictureDepth depth) {
-  return tile.shapes ? blendTo<true>(tile, depth) : blendTo<false>(tile, depth);
+  if (tile.planes) return blendTo<Shape::kPlane>(tile, depth);
+  return tile.shapes ? blendTo<Shape::kConic>(tile, depth) : blendTo<Shape::kFlat>(tile, depth);
 }
 
-template <bool kConic>
+template <Shape kShape>
 bool pickAs(const PickTile& tile) {
-  return walk<kConic>(tile, tile.transmittance, nullptr, kLeastPicked, [&](const Record& e) {
+  return walk<kShape>(tile, tile.transmittance, nullptr, kLeastPicked, [&](const Record& e) {
     const bool ball = e.share < 0.0f;
     return [=, &e, &tile](int pixel, Floats exponent, Ints covered, Floats) {
       if (tile.opaque) covered &= all(e.window_depth) <= load(tile.opaque + pixel);
@@ -1062,7 +1085,9 @@ bool pickAs(const PickTile& tile) {
   });
 }
 
-bool pick(const PickTile& tile) { return tile.shapes ? pickAs<true>(tile) : pickAs<false>(tile); }
+bool pick(const PickTile& tile) {
+  return tile.shapes ? pickAs<Shape::kConic>(tile) : pickAs<Shape::kFlat>(tile);
+}
 
 // The sum of all lanes. Adding lane after lane would take longer than blending a splat's pixels.
 float sumOf(Floats v) {
@@ -1074,7 +1099,7 @@ float sumOf(Floats v) {
   return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-template <bool kConic>
+template <Shape kShape>
 bool contributeAs(const ContributeTile& tile) {
   TilePixels& pixels = *tile.pixels;
   Contribution* next = tile.splats;
@@ -1085,7 +1110,7 @@ bool contributeAs(const ContributeTile& tile) {
     weights = energies = errors = residuals = Floats{};
   };
   const bool has_ended =
-      walk<kConic>(tile, pixels.transmittance, nullptr, tile.ends_at, [&](const Record& e) {
+      walk<kShape>(tile, pixels.transmittance, nullptr, tile.ends_at, [&](const Record& e) {
         finish();
         ++next;
         const Floats colour[3] = {all(e.colour[0]), all(e.colour[1]), all(e.colour[2])};
@@ -1118,7 +1143,7 @@ bool contributeAs(const ContributeTile& tile) {
 }
 
 bool contribute(const ContributeTile& tile) {
-  return tile.shapes ? contributeAs<true>(tile) : contributeAs<false>(tile);
+  return tile.shapes ? contributeAs<Shape::kConic>(tile) : contributeAs<Shape::kFlat>(tile);
 }
 
 // Plain loops over a row of kTile pixels, which compilers vectorise.

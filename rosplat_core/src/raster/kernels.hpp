@@ -81,6 +81,7 @@ struct ProjectView : SplatSettings {
   int sh_degree;
   bool orthographic;
   bool through_lens;  // splats beside and behind the camera count, too
+  bool planes;        // ellipses have RayShapes that are planes
   LensCurve lens;
   Model model;
   CutView cut;
@@ -112,7 +113,7 @@ static_assert(sizeof(Record) == 64);
 // What makes a record a conic (views/conic.hpp), in a picture that shows any. The response is that
 // of the nearer one of ray and spot.
 struct alignas(32) RayShape {
-  float tilt_x, tilt_y;  // [1/px]
+  float tilt_x, tilt_y;  // [1/px]; of an ellipse's plane, by which its depth grows [m/px]
   float nearness;        // for u^2 + v^2
   float spot_x, spot_y;  // [px], infinite where there is none
   // Of a splat that is beside or behind the camera, Record::x, y are the principal point: u, v and
@@ -167,6 +168,7 @@ struct ListedTile {
   std::size_t count;
   const Record* records;
   const RayShape* shapes;  // one for each record; null: all are flat
+  bool planes;             // of flat records, which shapes are
   TileSamples samples;     // null: pixels. Requires shapes
   int left, top;           // [px]
   const float* opaque;     // window depths of opaque objects, which hide splats behind; or null

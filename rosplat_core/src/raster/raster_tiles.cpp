@@ -112,7 +112,7 @@ bool CpuRasterizer::Work::project(const DepthSlice& slice) {
   const std::size_t begin = slice.begin, end = slice.end;
   records.reserve(end - begin + kSlots);
   keys.reserve(end - begin + kSlots);
-  if (conics) shapes.reserve(end - begin + kSlots);
+  if (conics || planes) shapes.reserve(end - begin + kSlots);
   std::atomic<std::size_t> pairs{0};
   inParts(end - begin, 4096, [&](StepShare& part, Member& member) {
     part.counts.assign(tiles, 0);
@@ -138,9 +138,9 @@ bool CpuRasterizer::Work::project(const DepthSlice& slice) {
         count = kernels.hide(layer.cull, layer.project, pyramid, of.slots, member.places.data(),
                              member.numbers.data(), count);
       }
-      const std::size_t seen = kernels.project(layer.project, of.slots, member.places.data(), count,
-                                               &records[out], conics ? &shapes[out] : nullptr,
-                                               member.footprints.data(), member.kept.data());
+      const std::size_t seen = kernels.project(
+          layer.project, of.slots, member.places.data(), count, &records[out],
+          conics || planes ? &shapes[out] : nullptr, member.footprints.data(), member.kept.data());
       part.of_layers[of.layer] += seen;
       std::size_t counted = part.pairs.size;
       for (std::size_t k = 0; k < seen && pairs <= kMostPairs; ++k, ++out) {

@@ -210,6 +210,7 @@ struct CpuRasterizer::Work {
   ScratchBuffer<Record> records;
   ScratchBuffer<RayShape> shapes;     // by record, in a picture of conics
   bool conics = false;                // some layer's model isn't EWA
+  bool planes = false;                // of ellipses: PictureRequest::planes
   ScratchBuffer<std::uint32_t> keys;  // by record
   ScratchBuffer<Listed> listed;
   std::vector<std::size_t> begins;  // where each tile's part of `listed` begins, and the end

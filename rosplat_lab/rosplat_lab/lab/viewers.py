@@ -62,6 +62,7 @@ def _projected(splats: Splats, camera: Camera) -> Projected:
         opacities=opacities,
         colors=np.clip(base / 255 + above, 0, 1),
         depths=means[:, 2],
+        planes=np.zeros((len(kept), 2)),
         keys=means[:, 2],
         shares=np.ones(len(kept)),
     )[solid]

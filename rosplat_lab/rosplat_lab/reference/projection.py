@@ -50,6 +50,8 @@ class Projected:
     """(m, 3) RGB, 0 or more."""
     depths: Array
     """(m,) z in the camera. [m]"""
+    planes: Array
+    """(m, 2) by which the depth that is expected of EWA grows in the picture. [m/px]"""
     keys: Array
     """(m,) by which they are ordered: depths, or distances. [m]"""
     shares: Array
@@ -82,11 +84,15 @@ def project(
 
     opacities = seen.opacities.astype(np.float64)
     ewa = splats.model in (Model.EWA, Model.EWA_ANTIALIASED)
-    conics = Conics.of(_rows(seen, means, camera, lens, clamped=ewa))
+    rows = _rows(seen, means, camera, lens, clamped=ewa)
+    conics, planes = Conics.of(rows), np.zeros((len(means), 2))
     if ewa:
         sharp = np.linalg.det(conics.covariances)
         filtered = conics.covariances + LOW_PASS * np.eye(2)
         conics = _flat(filtered)
+        # The depth that is expected, given the place in the picture.
+        rise = np.einsum("nik,nk->ni", rows[:, :2], _deep(seen, camera))
+        planes = np.linalg.solve(filtered, rise[..., None])[..., 0]
         if splats.model is Model.EWA_ANTIALIASED:  # what the filter spreads out, it must not add
             opacities *= np.sqrt(np.maximum(0, sharp / np.linalg.det(filtered)))
     determinant = np.linalg.det(conics.covariances)
@@ -126,6 +132,7 @@ def project(
         opacities=opacities[inside],
         colors=harmonics.colors(seen.sh[inside].astype(np.float64), directions[inside]),
         depths=means[inside, 2],
+        planes=planes[inside],
         keys=keys[inside],
         shares=np.ones(inside.sum()) if shares is None else shares[slots][inside],
     )
@@ -135,6 +142,12 @@ def _flat(covariances: Array) -> Conics:
     """Ellipses in the picture (n, 2, 2) [px^2] as conics."""
     n = len(covariances)
     return Conics(covariances, np.zeros((n, 2)), np.zeros(n), np.zeros((n, 2)), np.zeros(n))
+
+
+def _deep(splats: Splats, camera: Camera) -> Array:
+    """(n, 3) how far a standard deviation along each axis leads along the camera's z. [m]"""
+    axes = camera.world_to_camera[2, :3] @ to_matrices(splats.orientations)
+    return axes * splats.scales.astype(np.float64)
 
 
 def _rows(

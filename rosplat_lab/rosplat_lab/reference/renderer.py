@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,9 @@ class Picture:
     depth: Array
     """(height, width) opacity-weighted mean of z [m]; NaN where nothing is."""
     median: Array
-    """(height, width) z of the splat that leaves half of the light or less; NaN: none does."""
+    """(height, width) z of the splat that leaves half of the light or less; NaN: none does.
+
+    z is where the ray meets the splat: of EWA, its plane; see planes of render()."""
 
 
 def render(
@@ -42,6 +44,7 @@ def render(
     scene_depth: Array | None = None,
     lens: Lens | None = None,
     by_distance: bool = False,
+    planes: bool = True,
 ) -> Picture:
     """Draws splats in float64.
 
@@ -52,12 +55,16 @@ def render(
     transmittance to min_transmittance or below (INRIA and gsplat: 1e-4); 0 blends everything.
     scene_depth: (height, width) depths of opaque objects [m], inf where there is none; a splat
     whose centre is behind them is hidden. lens, by_distance: as in project(); the camera has the
-    size of the lens's picture. Raises ValueError for a crop outside the picture.
+    size of the lens's picture. planes: EWA's depths are where its density is largest along a ray,
+    to first order; else those of the centres, as on a graphics card. Raises ValueError for a crop
+    outside the picture.
     """
     left, top, right, bottom = crop or (0, 0, camera.width, camera.height)
     if not (0 <= left < right <= camera.width and 0 <= top < bottom <= camera.height):
         raise ValueError(f"crop {crop} is not inside {camera.width} x {camera.height}")
     projected = project(splats, camera, shares, lens=lens, by_distance=by_distance)
+    if not planes:
+        projected = replace(projected, planes=np.zeros_like(projected.planes))
     projected = projected[_front_to_back(projected, order, len(splats))]
     return blended(
         projected, (left, top, right, bottom), max_alpha=max_alpha,
@@ -263,5 +270,6 @@ def _along_rays(
     spot = SPOT * ((xs + 0.5 - spots[:, 0]) ** 2 + (ys[:, None] + 0.5 - spots[:, 1]) ** 2)
     is_spot = spot < flat / scale
     # A ray that comes nearest to a splat behind the camera meets it at the camera.
-    seen = np.maximum(depths * along / scale, 0)
+    slope_x, slope_y = splats.planes[part].T[..., None, None]
+    seen = np.maximum(depths * along / scale + slope_x * dx + slope_y * dy, 0)
     return np.where(is_spot, spot, flat / scale), np.where(is_spot, depths, seen)

@@ -74,6 +74,9 @@ struct PictureRequest {
   // all slots, by depth; ties are broken as by the sorters (DepthOrder).
   std::optional<ArrayView<std::uint32_t>> order;
   PictureDepth depth = PictureDepth::kNone;
+  // Whether depths are those of the plane of each ellipse, on which its density is largest along a
+  // ray, not of its centre. For pictures of EWA maps alone; in others nothing changes.
+  bool planes = false;
   // If set, colours and depths are by sample, in their order. For draw() of maps whose model is Ray
   // or Disc, without objects.
   std::optional<PictureSamples> samples;
