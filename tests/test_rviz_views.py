@@ -143,6 +143,28 @@ def bright(picture: np.ndarray) -> bool:
     return bool((picture.max(axis=2) > 150).sum() > 200)
 
 
+def test_an_offered_view_is_shown_whole_in_a_narrower_window(rviz: Rviz, world: World) -> None:
+    """Its camera moves away from the target until what it is of fits in width."""
+    from geometry_msgs.msg import Point, Vector3
+    from std_msgs.msg import Header
+
+    from rosplat_core.splats import concatenate
+    from rosplat_msgs.msg import FirstView
+    from rosplat_ros.qos import FIRST_VIEW
+
+    world.place()
+    offers = world.node.create_publisher(FirstView, "gaussians/first_view", FIRST_VIEW)
+    offer = FirstView(header=Header(frame_id=world.frame), eye=Point(y=-3.0, z=8.0), width=2.0)
+    offer.up = Vector3(z=1.0)
+    offers.publish(offer)
+    ends = [disc((1, 0, 0), x=-6.0, sigma=0.2), disc((0, 0, 1), x=6.0, sigma=0.2)]
+    world.map.replace(concatenate(ends))
+    rviz.load(configuration(map_display(**{"Fit View": True}), view=ORBIT))
+    rviz.until(lambda s: red(s).any() and blue(s).any())
+    _, _, width, height = rviz.ask("places")["view"]
+    assert width / height < 2
+
+
 def test_view_controllers(rviz: Rviz, world: World) -> None:
     """Perspective and orthographic, each puts the splats where its camera sees them."""
     world.place(x=0.3, yaw=0.5, z=-0.2)

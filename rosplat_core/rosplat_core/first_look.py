@@ -12,7 +12,9 @@
    splats that are blurred over much of the picture make it worth less.
 4. A scene that surrounds its free places, such as a room, is shown from within: there, a picture's
    empty part makes it worth little, and depth more. Another one is shown whole, above all its top.
-5. The best camera is moved about a little while that helps.
+5. The best camera is moved about a little while that helps. One outside moves, without turning, to
+   where the scene fits its picture and is in the middle of it; a narrower picture than that is
+   taken from farther away.
 """
 
 from __future__ import annotations
@@ -56,7 +58,8 @@ DRAWN = {"around": 8, "near": 12, "within": 20, "taken": 40}  # how many cameras
 BLURRED = 40  # standard deviation from which a near splat is blurred [px of SHOWN_HEIGHT]
 SURROUNDED = 0.9  # least part of pictures from within that is covered, for the scene to surround it
 NEARBY = 3  # distance within which a scene's extent is measured, in median ones
-MARGIN = 0.95  # part of a picture that a whole object may fill
+MARGIN = 0.9  # part of a picture that a whole object may fill
+NARROWER = (0.5, 1.0, 1.5)  # widths of pictures, in their heights, that it is fitted to as well
 STEPS = 3  # in which the best camera is moved
 PATIENCE = 5.0  # after so long, the best camera so far is taken [s]
 LEAST = 16  # cameras that are drawn all the same
@@ -70,14 +73,22 @@ class FirstView:
     eye: NDArray[np.float64]
     target: NDArray[np.float64]
     up: NDArray[np.float64]
+    width: float = 0.0
+    """Of a picture that all of the scene fits, in its heights; 0 for a view from within."""
+
+    def eye_for(self, width: float, height: float) -> NDArray[np.float64]:
+        """Where the camera is for a window of width x height: farther away for a narrow one. [m]"""
+        farther = max(1.0, self.width * height / width)
+        return self.target + (self.eye - self.target) * farther
 
     def camera(self, width: int, height: int) -> Camera:
         """The camera for a picture of width x height [px], with a view 45 degrees high."""
-        distance = float(np.linalg.norm(self.target - self.eye))
+        eye = self.eye_for(width, height)
+        distance = float(np.linalg.norm(self.target - eye))
         focal = 0.5 * height / math.tan(math.radians(22.5))
         return Camera(
             0, width, height, focal, focal, width / 2, height / 2,
-            look_at(self.eye, self.target, self.up), near=1e-3 * distance, far=max(1e10, distance),
+            look_at(eye, self.target, self.up), near=1e-3 * distance, far=max(1e10, distance),
         )  # fmt: skip
 
 
@@ -141,7 +152,9 @@ def first_view(
             best, found = look, better
         else:
             step /= 2
-    return stage.placed(best)
+    if cameras or found.within:
+        return stage.placed(best)
+    return stage.placed(*stage.fitted(best))
 
 
 def views_within(splats: Splats, up: ArrayLike) -> list[FirstView]:
@@ -251,7 +264,7 @@ class _Stage:
         away = np.linalg.norm(positions[counted] - self._middle, axis=1)
         near = counted[away <= NEARBY * np.median(away)]  # without a sky, for example
         lowest, low, high, highest = np.quantile(
-            positions[near], [0.005, 0.05, 0.95, 0.995], axis=0
+            positions[near], [0.002, 0.05, 0.95, 0.998], axis=0
         )
         extent = float(np.linalg.norm(high - low)) / 2
         self._radius = max(extent, 2 * float(np.median(scales.max(axis=1))), 1e-12)
@@ -271,7 +284,9 @@ class _Stage:
         points = self.positions[self._sampled]
         self._probes = points.T.copy()
         # All of the scene but what lies far out.
-        self.whole = points[((points >= self._lowest) & (points <= self._highest)).all(axis=1)]
+        inside = ((points >= self._lowest) & (points <= self._highest)).all(axis=1)
+        self.whole = points[inside]
+        self._reach = self._sizes[self._sampled][inside]
         self._colours = (0.5 + harmonics.C0 * splats.sh[rows, 0].astype(np.float64)).clip(0, 1)
         self._renderer = CpuRenderer(
             Splats(
@@ -335,13 +350,38 @@ class _Stage:
         beside = np.abs(x) * FOCAL > z * WIDTH / 2
         return float(100 * np.mean(above) + 10 * np.mean(below) + 2 * np.mean(beside))
 
-    def placed(self, look: _Look) -> FirstView:
+    def fitted(self, look: _Look) -> tuple[_Look, float]:
+        """The camera moved to where all of the scene fits its picture, and that picture's width.
+
+        It is as near as it can be without turning, its target amid the depths that it sees.
+        """
+        x, y, z = look.view @ self.whole.T
+        upright = MARGIN * HEIGHT / 2 / FOCAL
+        middle, depths = [], []
+        for across, slope in ((x, upright * WIDTH / HEIGHT), (y, upright)):
+            # All is between two planes through the camera that are that steep.
+            right = np.max(across + self._reach - slope * z)
+            left = np.max(self._reach - across - slope * z)
+            middle.append((right - left) / 2)
+            depths.append(-(right + left) / (2 * slope))
+        nearest = min(depths)
+        distance = float(z.min() + z.max()) / 2 - nearest
+        width = 0.0
+        for narrow in NARROWER:
+            outside = (np.abs(x - middle[0]) + self._reach) / (upright * narrow) - (z - nearest)
+            if outside.max() > 0:
+                width = max(width, narrow * (1 + float(outside.max()) / distance))
+        width = min(width, WIDTH / HEIGHT)
+        eye = np.array([*middle, nearest]) @ look.view
+        return replace(look, eye=eye, target=eye + distance * look.view[2]), width
+
+    def placed(self, look: _Look, width: float = 0.0) -> FirstView:
         """A camera of the stage in the scene's own coordinates."""
         eye, target = (
             (point * self._radius + self._middle) @ self._rotation + self._origin
             for point in (look.eye, look.target)
         )
-        return FirstView(eye, target, self._up)
+        return FirstView(eye, target, self._up, width)
 
     def staged(self, camera: Camera, distance: float) -> _Look:
         """A scene's camera on the stage, without its roll."""

@@ -22,6 +22,7 @@ def first_view_message(view: View, frame_id: str, stamp: Time) -> FirstView:
         eye=Point(**eye),
         target=Point(**target),
         up=Vector3(**up),
+        width=view.width,
     )
 
 
@@ -31,6 +32,7 @@ def read_first_view(message: FirstView) -> View:
         np.array([vector.x, vector.y, vector.z])
         for vector in (message.eye, message.target, message.up)
     )
-    if not np.isfinite([eye, target, up]).all() or not up.any() or (eye == target).all():
+    known = np.isfinite([*eye, *target, *up, message.width]).all()
+    if not known or not up.any() or (eye == target).all():
         raise ValueError("first_view: not finite, no vertical, or the eye is the target")
-    return View(eye, target, up / np.linalg.norm(up))
+    return View(eye, target, up / np.linalg.norm(up), max(0.0, message.width))

@@ -35,7 +35,7 @@ def test_a_view_survives_its_message() -> None:
     view = first_view(generate(500), (0, 0, 1))
     message = first_view_message(view, "map", FirstView().header.stamp)
     found = read_first_view(message)
-    for name in ("eye", "target", "up"):
+    for name in ("eye", "target", "up", "width"):
         np.testing.assert_array_equal(getattr(found, name), getattr(view, name))
     message.up.x = float("nan")
     with pytest.raises(ValueError, match="not finite"):

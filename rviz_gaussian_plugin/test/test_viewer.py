@@ -1,5 +1,6 @@
 """The embedded viewer over DDS: what it draws for others, whose order it takes, how it ends."""
 
+import math
 import os
 import signal
 import subprocess
@@ -608,9 +609,21 @@ def test_the_orbit_of_a_view_sees_what_the_view_does() -> None:
     from rviz_gaussian_plugin.viewer.orbit import OrbitCamera
 
     for up in ((0, 0, 1), (0, -1, 0), (0.6, -0.8, 0)):
-        view = FirstView(np.array([1.0, -2, 3]), np.array([0.5, 0.25, 1]), np.array(up, float))
-        expected, found = view.camera(64, 48), OrbitCamera.of(view).camera(64, 48)
-        np.testing.assert_allclose(found.world_to_camera, expected.world_to_camera, atol=1e-12)
+        view = FirstView(np.array([1.0, -2, 3]), np.array([0.5, 0.25, 1]), np.array(up, float), 1.5)
+        for size in ((64, 48), (32, 48)):
+            expected, found = view.camera(*size), OrbitCamera.of(view, *size).camera(*size)
+            np.testing.assert_allclose(found.world_to_camera, expected.world_to_camera, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [(160, 90), (90, 160)])
+def test_an_orbit_around_a_ball_sees_all_of_it(size: tuple[int, int]) -> None:
+    from rviz_gaussian_plugin.viewer.orbit import OrbitCamera
+
+    centre, up = np.array([1.0, 2, 3]), np.array([0.0, 0, 1])
+    camera = OrbitCamera.around(centre, 2.0, up, *size).camera(*size)
+    distance = np.linalg.norm(camera.position - centre)
+    reach = camera.fx * math.tan(math.asin(2.0 / distance))
+    assert reach == pytest.approx(min(size) / 2)
 
 
 @pytest.mark.parametrize("window", [(0, 0), (1, 1), (6000, 6000), (30_000, 2), (1280, 720)])

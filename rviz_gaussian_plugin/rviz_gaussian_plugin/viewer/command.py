@@ -49,7 +49,7 @@ def show_stills(viewer: Viewer, folder: Path) -> None:
     except OSError as error:
         raise SceneError(f"parameter output: {folder}: {error.strerror}") from error
     _wait_for_map(viewer)
-    orbit = framed(viewer)
+    orbit = framed(viewer, *STILL)
     report = viewer.draw_still(view_camera(orbit.camera(*STILL)), "still", ORDER_TIMEOUT)
     figures = described(viewer.renderer.splats, report)
     still = Picture.fromarray(viewer.renderer.read_color8(BACKGROUND))

@@ -55,9 +55,9 @@ class OrbitCamera:
         self.distance = float(np.clip(self.distance, NEAREST, FARTHEST))
 
     @classmethod
-    def of(cls, view: FirstView) -> OrbitCamera:
-        """The camera of a view, about its target."""
-        away = view.eye - view.target
+    def of(cls, view: FirstView, width: int, height: int) -> OrbitCamera:
+        """The camera of a view in a window of width x height, about its target."""
+        away = view.eye_for(width, height) - view.target
         distance = float(np.linalg.norm(away))
         ahead, side, up = _axes(view.up)
         return cls(
@@ -65,6 +65,15 @@ class OrbitCamera:
             yaw=math.atan2(away @ side, away @ ahead),
             pitch=math.asin(float(np.clip(away @ up / max(distance, NEAREST), -1, 1))),
         )  # fmt: skip
+
+    @classmethod
+    def around(
+        cls, centre: NDArray[np.float64], radius: float, up: NDArray[np.float64],
+        width: int, height: int,
+    ) -> OrbitCamera:  # fmt: skip
+        """The camera whose picture of width x height a ball fits. [m]"""
+        slope = math.tan(math.radians(22.5)) * min(1.0, width / height)
+        return cls(target=centre, distance=radius / math.sin(math.atan(slope)), up=up)
 
     def camera(self, width: int, height: int) -> Camera:
         """The camera for a picture of width x height [px], with a view 45 degrees high."""

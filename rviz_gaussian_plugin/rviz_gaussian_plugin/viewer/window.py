@@ -26,16 +26,14 @@ AGES = {"order_age", "picture_age", "camera_off", "draw_time"}  # differ though 
 VERTICALS = ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0))
 
 
-def framed(viewer: Viewer) -> OrbitCamera:
-    """The camera to begin with: the publisher's offer, or one that sees the bulk of the map."""
+def framed(viewer: Viewer, width: int, height: int) -> OrbitCamera:
+    """The camera to begin with, in a window of width x height.
+
+    It is the publisher's offer, or sees the bulk of the map.
+    """
     if viewer.first_view is not None:
-        return OrbitCamera.of(viewer.first_view)
-    return _whole(viewer, np.array(viewer.up, np.float64))
-
-
-def _whole(viewer: Viewer, up: NDArray[np.float64]) -> OrbitCamera:
-    centre, radius = viewer.bounds()
-    return OrbitCamera(target=centre, distance=2.5 * radius, up=up)
+        return OrbitCamera.of(viewer.first_view, width, height)
+    return OrbitCamera.around(*viewer.bounds(), np.array(viewer.up, np.float64), width, height)
 
 
 def picture_size(width: int, height: int) -> tuple[int, int]:
@@ -77,7 +75,7 @@ class _Window:
         pygame.display.set_mode(viewer.window_size, pygame.RESIZABLE)
         self._font = pygame.font.Font(None, FONT)
         self.closed, self.figures = False, ""
-        self._orbit = framed(viewer)
+        self._orbit = framed(viewer, *self._size())
         self._framed_by: object = None  # the first view, or True: the map is whole, or the user
         self._verticals = 0  # how many were tried
         self._shown: tuple[object, ...] = ()  # camera and size of the picture
@@ -99,14 +97,17 @@ class _Window:
             self._viewer.get_logger().error(told(error), throttle_duration_sec=5.0)
             self._seen, self._pause = (), RESTING
 
+    def _size(self) -> tuple[int, int]:
+        return picture_size(*self._pygame.display.get_window_size())
+
     def _fit(self) -> None:
         """Frames the map until it is whole or the user moves, and when its publisher offers how."""
         view = self._viewer.first_view
         if view is not None and self._framed_by is not view:
             if self._viewer.renderer.splats:
-                self._orbit, self._framed_by = framed(self._viewer), view
+                self._orbit, self._framed_by = framed(self._viewer, *self._size()), view
         elif self._framed_by is None and self._viewer.renderer.splats:
-            self._orbit = framed(self._viewer)
+            self._orbit = framed(self._viewer, *self._size())
             self._framed_by = True if self._viewer.complete() else None
 
     def _take(self, event: Any) -> None:
@@ -116,9 +117,12 @@ class _Window:
         ):
             self.closed = True
         elif event.type == pygame.KEYDOWN and event.key == pygame.K_r:
-            self._orbit, self._framed_by = framed(self._viewer), self._viewer.first_view
+            self._orbit = framed(self._viewer, *self._size())
+            self._framed_by = self._viewer.first_view
         elif event.type == pygame.KEYDOWN and event.key == pygame.K_u:
-            self._orbit = _whole(self._viewer, self._next_vertical())
+            self._orbit = OrbitCamera.around(
+                *self._viewer.bounds(), self._next_vertical(), *self._size()
+            )
             self._moved()
         elif event.type == pygame.MOUSEWHEEL:
             self._moved()
@@ -147,7 +151,7 @@ class _Window:
     def _show(self, wanted: bool) -> None:
         """Draws, and fills the window where something has changed, or it is wanted."""
         viewer = self._viewer
-        width, height = picture_size(*self._pygame.display.get_window_size())
+        width, height = self._size()
         orbit = self._orbit
         state = (*orbit.target, *orbit.up, orbit.distance, orbit.yaw, orbit.pitch, width, height)
         moved = state != self._shown

@@ -298,8 +298,11 @@ void GaussianDisplay::updateHandles() {
 
 void GaussianDisplay::fitView() {
   if (!placed_ || !fit_view_->getBool() || (loader_ && loader_->loading())) return;
+  const auto* const panel = context_->getViewManager()->getRenderPanel();
+  const double aspect =
+      std::max(panel->width(), 1) / static_cast<double>(std::max(panel->height(), 1));
   const auto view = view_fit_->find(client_->frameId(), cloud_->scene().samplePositions(),
-                                    *context_->getFrameManager());
+                                    *context_->getFrameManager(), aspect);
   if (!view) return;
   moveTo(*view, *context_->getViewManager()->getCurrent());
   fit_view_->setBool(false);

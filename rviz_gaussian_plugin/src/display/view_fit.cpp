@@ -34,14 +34,16 @@ std::optional<std::array<double, 3>> fixed(const geometry_msgs::msg::Point& poin
 
 }  // namespace
 
-OrbitView orbitOf(const std::array<double, 3>& eye, const std::array<double, 3>& target) {
+OrbitView orbitOf(const std::array<double, 3>& eye, const std::array<double, 3>& target,
+                  double width, double aspect) {
   const double x = eye[0] - target[0], y = eye[1] - target[1], z = eye[2] - target[2];
   const double yaw = std::atan2(y, x);
-  return {target, std::max(std::sqrt(x * x + y * y + z * z), 1e-6), yaw < 0 ? yaw + kTurn : yaw,
+  const double distance = std::sqrt(x * x + y * y + z * z) * std::max(1.0, width / aspect);
+  return {target, std::max(distance, 1e-6), yaw < 0 ? yaw + kTurn : yaw,
           std::atan2(z, std::hypot(x, y))};
 }
 
-OrbitView orbitAround(std::vector<std::array<double, 3>> positions) {
+OrbitView orbitAround(std::vector<std::array<double, 3>> positions, double aspect) {
   std::array<double, 3> middle{};
   double square = 0;
   for (std::size_t axis = 0; axis < 3; ++axis) {
@@ -56,7 +58,8 @@ OrbitView orbitAround(std::vector<std::array<double, 3>> positions) {
     middle[axis] = (low + high) / 2;
     square += (high - low) * (high - low);
   }
-  const double distance = std::sqrt(square) / 2 / std::sin(kFieldOfView / 2);
+  const double slope = std::tan(kFieldOfView / 2) * std::min(1.0, aspect);
+  const double distance = std::sqrt(square) / 2 / std::sin(std::atan(slope));
   return {middle, std::max(distance, 0.05), 0.8, 0.42};
 }
 
@@ -68,7 +71,7 @@ ViewFit::ViewFit(const rclcpp::Node::SharedPtr& node, const std::string& topic) 
 
 std::optional<OrbitView> ViewFit::find(const std::string& frame,
                                        const std::vector<std::array<double, 3>>& positions,
-                                       rviz_common::FrameManagerIface& frames) {
+                                       rviz_common::FrameManagerIface& frames, double aspect) {
   if (positions.empty()) return std::nullopt;
   const auto now = std::chrono::steady_clock::now();
   if (!since_) since_ = now;
@@ -77,8 +80,8 @@ std::optional<OrbitView> ViewFit::find(const std::string& frame,
     const auto target = fixed(offered_->target, offered_->header.frame_id, frames);
     if (eye && target &&
         std::isfinite((*eye)[0] + (*eye)[1] + (*eye)[2] + (*target)[0] + (*target)[1] +
-                      (*target)[2])) {
-      return orbitOf(*eye, *target);
+                      (*target)[2] + offered_->width)) {
+      return orbitOf(*eye, *target, offered_->width, aspect);
     }
   }
   if (now - *since_ < kPatience) return std::nullopt;
@@ -89,7 +92,7 @@ std::optional<OrbitView> ViewFit::find(const std::string& frame,
     if (const auto found = fixed(point, frame, frames)) placed.push_back(*found);
   }
   if (placed.empty()) return std::nullopt;
-  return orbitAround(std::move(placed));
+  return orbitAround(std::move(placed), aspect);
 }
 
 void moveTo(const OrbitView& view, rviz_common::ViewController& controller) {

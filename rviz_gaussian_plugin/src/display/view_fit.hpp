@@ -22,11 +22,13 @@ struct OrbitView {
   double distance = 1, yaw = 0, pitch = 0;
 };
 
-// The orbit of a camera at `eye`. [m]
-OrbitView orbitOf(const std::array<double, 3>& eye, const std::array<double, 3>& target);
+// The orbit of a camera at `eye`, farther away for a picture narrower than `width`: both that and
+// the aspect are widths in heights. [m]
+OrbitView orbitOf(const std::array<double, 3>& eye, const std::array<double, 3>& target,
+                  double width, double aspect);
 
-// The orbit that sees the bulk of positions, at least one; few far ones don't count. [m]
-OrbitView orbitAround(std::vector<std::array<double, 3>> positions);
+// The orbit whose picture the bulk of positions, at least one, fits; few far ones don't count. [m]
+OrbitView orbitAround(std::vector<std::array<double, 3>> positions, double aspect);
 
 // Fits rviz's view to a map: to the first view that the map's publisher offers at
 // <topic>/first_view, or, where none comes, to what there is of the map. All calls, and the
@@ -37,10 +39,10 @@ class ViewFit {
   ViewFit(const rclcpp::Node::SharedPtr& node, const std::string& topic);
 
   // The view to show once the map is there: none until it is offered, or waited for in vain.
-  // positions: of a sample of the map, in `frame`. [m]
+  // positions: of a sample of the map, in `frame` [m]; aspect: of rviz's picture, width / height.
   std::optional<OrbitView> find(const std::string& frame,
                                 const std::vector<std::array<double, 3>>& positions,
-                                rviz_common::FrameManagerIface& frames);
+                                rviz_common::FrameManagerIface& frames, double aspect);
 
  private:
   rclcpp::Subscription<rosplat_msgs::msg::FirstView>::SharedPtr subscription_;
