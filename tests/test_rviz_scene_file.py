@@ -6,6 +6,7 @@ import itertools
 import re
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 from rosplat_core import formats
 from rosplat_core.generated import generate
+from rosplat_core.splats import Splats
 from rosplat_ros.program.processes import Processes
 from rosplat_testing import PATIENCE
 from rviz_harness import (
@@ -44,8 +46,12 @@ def rviz_alone(rviz: Rviz, world: World) -> Iterator[Rviz]:
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     """A red disc, whose name is not a plain one to YAML."""
-    path = tmp_path / "disc #2: it's.ply"
-    formats.save(path, disc((1, 0, 0)))
+    return save(tmp_path / "disc #2: it's.ply", disc((1, 0, 0)))
+
+
+def save(path: Path, splats: Splats) -> Path:
+    """Writes a scene that stands upright as it is, in the place of another."""
+    formats.save(path, replace(splats, up=(0.0, 0.0, 1.0)), overwrite=True)
     return path
 
 
@@ -71,6 +77,16 @@ def test_a_scene_file_is_published_and_its_publisher_ends_with_the_property(
     rviz_alone.set("Map", "Scene File", value="")
     rviz_alone.until_status("Map", "Scene File", "Ok", "cancelled")
     world.spin_until(lambda: publishers(world) == 0)
+
+
+def test_a_scene_that_lies_on_its_side_is_stood_upright(rviz_alone: Rviz, tmp_path: Path) -> None:
+    """From above, its disc is seen from the edge as long as it lies."""
+    turned = np.eye(4)
+    turned[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    scene = replace(disc((1, 0, 0)).moved(turned), up=(0.0, -1.0, 0.0))
+    formats.save(tmp_path / "lying.ply", scene)
+    rviz_alone.set("Map", "Scene File", value=str(tmp_path / "lying.ply"))
+    rviz_alone.until(lambda s: red(s).any(axis=1).sum() > 100 and red(s).any(axis=0).sum() > 100)
 
 
 def test_another_topic_gets_no_scene_that_was_chosen_for_the_last(
@@ -130,7 +146,7 @@ def test_a_dropped_scene_is_opened_and_nothing_else(
     assert rviz_alone.properties("Map")["Scene File"] == str(scene)
     rviz_alone.until(lambda s: red(s).sum() > 3000)
     # Once more, changed: by the publisher that is there.
-    formats.save(scene, disc((0, 1, 0)), overwrite=True)
+    save(scene, disc((0, 1, 0)))
     assert rviz_alone.ask("drop", file=str(scene))
     rviz_alone.until(lambda s: not red(s).any())
     world.spin_until(lambda: publishers(world) == 1)  # each map has a writer of its own
@@ -195,8 +211,7 @@ def test_what_cannot_be_loaded_is_said_in_the_status(rviz_alone: Rviz, tmp_path:
 
 def test_a_publisher_that_starts_with_rviz_is_asked(tmp_path: Path, world: World) -> None:
     """A saved configuration with a Scene File, and a publisher from the same launch file."""
-    scene = tmp_path / "disc.ply"
-    formats.save(scene, disc((1, 0, 0)))
+    scene = save(tmp_path / "disc.ply", disc((1, 0, 0)))
     remap = ("--ros-args", "-r", f"gaussians:={TOPIC}")
     config = configuration(map_display(topic=TOPIC, **{"Scene File": str(scene)}))
     with Processes(tmp_path / "publisher") as processes:
@@ -215,7 +230,7 @@ def test_each_display_of_a_namespaced_rviz_has_a_publisher_of_its_own(
 ) -> None:
     scenes = {name: tmp_path / f"{name}.ply" for name in ("red", "green", "blue")}
     for i, path in enumerate(scenes.values()):
-        formats.save(path, disc(tuple(float(i == k) for k in range(3)), x=1 - i, sigma=0.2))
+        save(path, disc(tuple(float(i == k) for k in range(3)), x=1 - i, sigma=0.2))
     left = map_display("Left", topic="left", **{"Scene File": str(scenes["red"])})
     right = map_display("Right", topic="right", **{"Scene File": str(scenes["blue"])})
 

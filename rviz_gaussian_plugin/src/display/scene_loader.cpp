@@ -27,6 +27,11 @@ std::multiset<std::string>& startedTopics() {
   return topics;
 }
 
+// The frame of a scene as its file has it, one for each topic; view.launch.py names its so, too.
+std::string frameOf(const std::string& topic) {
+  return topic == "/gaussians" ? "scene" : topic.substr(1) + "/scene";
+}
+
 // Quotes a parameter's value for the command line, which ROS reads as YAML.
 QString quoted(const std::string& text) {
   return "'" + QString::fromStdString(text).replace("'", "''") + "'";
@@ -121,8 +126,9 @@ void SceneLoader::startPublisher(const std::string& path) {
   try {
     const std::string program =
         ament_index_cpp::get_package_prefix("rosplat_tools") + "/lib/rosplat_tools/ply_publisher";
+    const std::string topic = resolvedTopic();
     process_ = std::make_unique<QProcess>();
-    const auto started = startedTopics().insert(resolvedTopic());
+    const auto started = startedTopics().insert(topic);
     QObject::connect(process_.get(), &QProcess::stateChanged, [started](QProcess::ProcessState to) {
       if (to == QProcess::NotRunning) startedTopics().erase(started);
     });
@@ -132,8 +138,9 @@ void SceneLoader::startPublisher(const std::string& path) {
     const QString id = QUuid::createUuid().toString(QUuid::Id128).left(8);
     process_->start("setpriv",  // the publisher ends with rviz2, even if that crashes
                     {"--pdeathsig", "TERM", QString::fromStdString(program), "--ros-args", "-p",
-                     "path:=" + quoted(path), "-r", "__node:=ply_publisher_" + id, "-r",
-                     QString::fromStdString("gaussians:=" + resolvedTopic())});
+                     "path:=" + quoted(path), "-p", "frame_id:=" + quoted(frameOf(topic)), "-p",
+                     "upright_frame:=map", "-r", "__node:=ply_publisher_" + id, "-r",
+                     QString::fromStdString("gaussians:=" + topic)});
     status_ = "loading " + path;
   } catch (const ament_index_cpp::PackageNotFoundError&) {
     report("rosplat_tools is not installed: nothing can publish " + path, true);

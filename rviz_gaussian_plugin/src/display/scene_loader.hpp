@@ -12,8 +12,9 @@
 namespace rosplat {
 
 // Publishes a scene file on a topic: by the topic's publisher, which must be able to load scenes,
-// or without one by a ply_publisher that the loader starts and ends. In the first seconds of the
-// process the loader waits for a publisher to appear. Never blocks; status() tells how it goes.
+// or without one by a ply_publisher that the loader starts and ends, which stands the scene upright
+// in the frame `map`, as view.launch.py's does. In the first seconds of the process the loader
+// waits for a publisher to appear. Never blocks; status() tells how it goes.
 class SceneLoader {
  public:
   SceneLoader(rclcpp::Node::SharedPtr node, std::string topic);
