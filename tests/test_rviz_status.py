@@ -62,7 +62,8 @@ def test_bad_input_is_explained(rviz: Rviz, world: World, tmp_path: Path) -> Non
 def test_all_that_a_user_would_see_in_yellow_or_red_is_listed(rviz: Rviz, world: World) -> None:
     """A picture of the documentation shows none of it."""
     lost, grid = display("Nothing", "Lost"), display("Grid", "Grid")
-    rviz.load(configuration(lost, grid, map_display(topic="/nobody")))
+    auto = {"Order Source": "Auto"}
+    rviz.load(configuration(lost, grid, map_display(topic="/nobody", **auto)))
     world.place()
     rviz.until_status("Grid", "Transform", "Ok")
     nobody = rviz.until_status("Map", "Topic", "Warn", "Nobody publishes on /nobody")
@@ -70,7 +71,7 @@ def test_all_that_a_user_would_see_in_yellow_or_red_is_listed(rviz: Rviz, world:
     world.spin_until(lambda: rviz.complaints() == [loading, f"Map, Status: Warn, Topic: {nobody}"])
     rviz.set("Map", value=False)
     assert rviz.complaints() == [loading]
-    rviz.load(configuration(grid, map_display()))
+    rviz.load(configuration(grid, map_display(**auto)))
     world.map.replace(disc((1, 0, 0)))
     world.spin_until(lambda: rviz.status("Map").get("Map") and not rviz.complaints())
 
@@ -96,6 +97,12 @@ def request_picture(
     client = client or world.node.create_client(RenderView, f"{topic}/render")
     world.spin_until(client.service_is_ready)
     return client.call_async(RenderView.Request(camera=camera, order_timeout=order_timeout))
+
+
+def test_a_display_that_waits_for_a_sorter_says_so(rviz: Rviz, world: World) -> None:
+    rviz.until_status("Map", "Sidecar", "Warn", "No sorter publishes /gaussians/order")
+    rviz.set("Map", "Order Source", value="Auto")
+    world.spin_until(lambda: "Sidecar" not in rviz.status("Map"))
 
 
 def test_a_publisher_that_keeps_nothing_is_told_of(rviz: Rviz, world: World) -> None:
@@ -311,6 +318,7 @@ def test_diagnostics_have_the_worst_line_and_figures(rviz: Rviz, world: World) -
     world.spin_until(lambda: any(s.message.startswith("Topic: Nobody") for s in heard))
     assert {s.level for s in heard if "Nobody" in s.message} == {DiagnosticStatus.WARN}
     rviz.set("Map", "Topic", value="/gaussians")
+    rviz.set("Map", "Order Source", value="Auto")
     world.map.replace(disc((1, 0, 0)))
     world.place()
     rviz.until(lambda s: red(s).any())

@@ -86,6 +86,23 @@ TEST(TopicStatus, saysWhyAMapWithoutAFrameIsNotDrawn) {
   EXPECT_EQ(topicStatus(received).level, StatusProperty::Error);
 }
 
+TEST(TopicStatus, guessesThatAnotherUsersPublisherIsNotHeard) {
+  GaussianClient::Status received = heard(0);
+  received.other_user = true;
+  EXPECT_TRUE(has(topicStatus(received), "is the publisher another user's?"));
+  received.unheard = "best effort";  // which is known
+  EXPECT_FALSE(has(topicStatus(received), "user"));
+  received = heard(0);
+  received.other_user = true;
+  received.publishers.clear();
+  EXPECT_FALSE(has(topicStatus(received), "user"));
+}
+
+TEST(SidecarStatus, warnsWhereNobodySorts) {
+  EXPECT_EQ(noSorterStatus("/robot/map").level, StatusProperty::Warn);
+  EXPECT_TRUE(has(noSorterStatus("/robot/map"), "No sorter publishes /robot/map/order"));
+}
+
 TEST(SidecarStatus, warnsOfAnotherBackendThanTheOneAskedFor) {
   GaussianClient::Status received;
   received.sidecar.text = "/sorter asked for backend torch";
@@ -144,6 +161,34 @@ TEST(OrderStatus, isToldForEachView) {
   EXPECT_EQ(orderStatus(frame, "").level, StatusProperty::Warn);
   frame.order_fresh = true;
   EXPECT_EQ(orderStatus(frame, "").level, StatusProperty::Ok);
+}
+
+TEST(FrameStatus, isShort) {
+  FrameReport frame;
+  frame.rasterizer = "tiles";
+  frame.draw_time = 0.00213;
+  EXPECT_EQ(frameStatus(frame, "").text, "2.1 ms by tiles");
+  frame.frame_interval = 0.0167;
+  EXPECT_EQ(frameStatus(frame, "").text, "2.1 ms by tiles, every 17 ms");
+  frame.profile["sort"] = 0.001;
+  EXPECT_EQ(frameStatus(frame, "").text, "2.1 ms by tiles, every 17 ms, sort 1.00");
+  frame = {};
+  frame.rasterizer = "processor";
+  frame.paint_time = 2.4434, frame.draw_time = 0.0687, frame.frame_interval = 0.4301;
+  frame.picture_age = 2.9113, frame.camera_off = 2.4959;
+  EXPECT_EQ(frameStatus(frame, "view 2").text, "2443 ms by processor, every 430 ms");
+  EXPECT_EQ(frameStatus(frame, "view 2").name, "Frame (view 2)");
+  EXPECT_EQ(frameStatus(frame, "").level, StatusProperty::Ok);
+  EXPECT_EQ(pictureStatus(frame, "").text, "2911 ms old, its camera 2496 ms off");
+}
+
+TEST(FrameStatus, warnsOfTilesWithoutACard) {
+  FrameReport frame;
+  frame.rasterizer = "tiles";
+  EXPECT_EQ(frameStatus(frame, "").level, StatusProperty::Ok);
+  frame.emulated = true;
+  EXPECT_EQ(frameStatus(frame, "").level, StatusProperty::Warn);
+  EXPECT_TRUE(has(frameStatus(frame, ""), "no graphics card draws: set Rasterizer to Auto"));
 }
 
 TEST(DetailStatus, saysWhatWasDrawnAndWarnsWhereThatIsAllAgainstTheWish) {

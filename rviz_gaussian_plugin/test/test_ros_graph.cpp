@@ -1,9 +1,13 @@
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <chrono>
+#include <filesystem>
+#include <fstream>
 #include <memory>
 #include <rclcpp/rclcpp.hpp>
 #include <rosplat_msgs/srv/load_scene.hpp>
+#include <string>
 
 #include "../src/display/ros_graph.hpp"
 #include "rosplat_ros/ros_versions.hpp"
@@ -29,6 +33,25 @@ TEST(NodeOf, NamesANodeInFull) {
 TEST(NodeOf, IsEmptyForANodeNotHeardOf) {
   EXPECT_EQ(rosplat::nodeOf(endpoint("", "")), "");
   EXPECT_EQ(rosplat::nodeOf(endpoint("_NODE_NAMESPACE_UNKNOWN_", "_NODE_NAME_UNKNOWN_")), "");
+}
+
+TEST(OtherUserSharesMemory, LooksAtFastDdsFilesAlone) {
+  const auto folder = std::filesystem::temp_directory_path() / ("shm_" + std::to_string(getpid()));
+  std::filesystem::create_directory(folder);
+  const auto own = [&](const char* name, uid_t user) {
+    const std::string path = folder / name;
+    std::ofstream{path};
+    return chown(path.c_str(), user, static_cast<gid_t>(-1)) == 0;
+  };
+  EXPECT_FALSE(rosplat::otherUserSharesMemory(folder / "missing"));
+  EXPECT_TRUE(own("fastrtps_1", geteuid()));
+  const bool root = own("lttng", geteuid() + 1);  // only root gives files away
+  EXPECT_FALSE(rosplat::otherUserSharesMemory(folder));
+  if (root) {
+    EXPECT_TRUE(own("fastrtps_2", geteuid() + 1));
+    EXPECT_TRUE(rosplat::otherUserSharesMemory(folder));
+  }
+  std::filesystem::remove_all(folder);
 }
 
 // A node with a service that answers, and an executor that stays, as rviz2's does.

@@ -41,9 +41,9 @@ def measure(rviz: DrivenRviz, budget: Budget, labels: dict[str, Any]) -> Iterato
             while time.monotonic() < began + budget.seconds or rviz.ask("frames") <= budget.least:
                 time.sleep(0.5)
                 if shown:
-                    text = rviz.status(display).get("Frame", ("", ""))[1]
-                    ages += _found(r"at most ([\d.]+) ms old", text)
-                    offs += _found(r"at most ([\d.]+) ms off", text)
+                    text = rviz.status(display).get("Picture", ("", ""))[1]
+                    ages += _found(r"([\d.]+) ms old", text)
+                    offs += _found(r"([\d.]+) ms off", text)
             seen = rviz.ask("stop watch")
             after = processor_times(rviz.process.pid)
         case = labels | {"map": shown, "grid": grid}

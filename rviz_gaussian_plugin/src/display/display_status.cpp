@@ -33,6 +33,11 @@ std::string nameOf(const char* line, const std::string& view) {
   return view.empty() ? line : concat(line, " (", view, ")");
 }
 
+// A time [s], in digits that one can tell apart while they change.
+std::string inMs(double seconds) {
+  return concat(std::setprecision(seconds < 0.01 ? 1 : 0), seconds * 1e3, " ms");
+}
+
 bool isBy(const FrameReport& frame, const std::string& sorter) {
   return frame.order_source.rfind(sorter, 0) == 0;
 }
@@ -56,6 +61,11 @@ StatusLine topicStatus(const GaussianClient::Status& received) {
     }
     if (received.publishers.empty()) {
       return line(StatusProperty::Warn, "Nobody publishes on " + received.topic);
+    }
+    if (received.unheard.empty() && received.other_user) {
+      return line(StatusProperty::Warn,
+                  "No batch received: is the publisher another user's? Shared memory delivers "
+                  "nothing between users");
     }
     if (received.unheard.empty()) return line(StatusProperty::Warn, "No batch received yet");
     return line(StatusProperty::Warn, "No batch received: a publisher is " + received.unheard);
@@ -97,6 +107,11 @@ StatusLine sidecarStatus(const GaussianClient::Status& received, const std::stri
   }
   return {received.sidecar.failed ? StatusProperty::Warn : StatusProperty::Ok, "Sidecar",
           received.sidecar.text};
+}
+
+StatusLine noSorterStatus(const std::string& topic) {
+  return {StatusProperty::Warn, "Sidecar",
+          concat("No sorter publishes ", topic, "/order: start one, or set Order Source to Auto")};
 }
 
 StatusLine accuracyStatus(const std::vector<std::string>& regimes) {
@@ -141,22 +156,19 @@ StatusLine orderStatus(const FrameReport& frame, const std::string& view) {
 }
 
 StatusLine frameStatus(const FrameReport& frame, const std::string& view) {
-  std::string text;
-  if (frame.paint_time > 0) {
-    text = concat(frame.paint_time * 1e3, " ms to paint by the ", frame.rasterizer, ", ");
-    if (frame.picture_age > 0) {
-      text += concat("at most ", frame.picture_age * 1e3, " ms old, of a camera at most ",
-                     frame.camera_off * 1e3, " ms off, ");
-    }
-    text += concat(frame.draw_time * 1e3, " ms to show");
-  } else {
-    text = concat(frame.draw_time * 1e3, " ms to draw in ", frame.rasterizer);
-  }
-  if (frame.frame_interval > 0) text += concat(", every ", frame.frame_interval * 1e3, " ms");
+  const double time = frame.paint_time > 0 ? frame.paint_time : frame.draw_time;
+  std::string text = concat(inMs(time), " by ", frame.rasterizer);
+  if (frame.frame_interval > 0) text += ", every " + inMs(frame.frame_interval);
+  if (frame.emulated) text += "; no graphics card draws: set Rasterizer to Auto";
   for (const auto& [stage, time] : frame.profile) {
     text += concat(", ", stage, " ", std::setprecision(2), time * 1e3);
   }
-  return {StatusProperty::Ok, nameOf("Frame", view), text};
+  return {frame.emulated ? StatusProperty::Warn : StatusProperty::Ok, nameOf("Frame", view), text};
+}
+
+StatusLine pictureStatus(const FrameReport& frame, const std::string& view) {
+  return {StatusProperty::Ok, nameOf("Picture", view),
+          concat(inMs(frame.picture_age), " old, its camera ", inMs(frame.camera_off), " off")};
 }
 
 StatusLine detailStatus(const Detail& wanted, const FrameReport& frame, std::size_t levels_bytes,

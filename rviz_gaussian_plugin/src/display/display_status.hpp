@@ -27,6 +27,8 @@ StatusLine sceneFileStatus(const std::string& says, bool loading, bool failed, c
 // What became of the switch to a backend (empty: any), checked against the views' orders.
 StatusLine sidecarStatus(const GaussianClient::Status& received, const std::string& wanted,
                          const std::vector<DrawnViews::Report>& views);
+// That nobody sorts for Order Source Sidecar.
+StatusLine noSorterStatus(const std::string& topic);
 // Why pictures may be inaccurate; regimes: SplatScene::hardRegimes().
 StatusLine accuracyStatus(const std::vector<std::string>& regimes);
 // What is here of the map, what is missing, and what waits to be drawn.
@@ -34,6 +36,8 @@ StatusLine mapStatus(const MapState& map, const Backlog& backlog);
 // What sorted a frame, and how long it took. `view` is empty for rviz's main view.
 StatusLine orderStatus(const FrameReport& frame, const std::string& view);
 StatusLine frameStatus(const FrameReport& frame, const std::string& view);
+// How old the painter's picture is that a frame showed.
+StatusLine pictureStatus(const FrameReport& frame, const std::string& view);
 // How much of the map was drawn, to which error, and the memory of its levels of detail.
 StatusLine detailStatus(const Detail& wanted, const FrameReport& frame, std::size_t levels_bytes,
                         const std::string& view);

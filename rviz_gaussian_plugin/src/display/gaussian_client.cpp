@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "messages.hpp"
+#include "ros_graph.hpp"
 #include "rosplat_core/map/printable.hpp"
 #include "rosplat_core/threads/clock.hpp"
 #include "rosplat_ros/batches.hpp"
@@ -172,14 +173,15 @@ void GaussianClient::watch() {
 }
 
 void GaussianClient::watchPublishers() {
-  const std::size_t sorters = node_->count_publishers(remapped_ + "/order");
-  views_followed_ = view_publisher_->get_subscription_count() > sorters;
+  sorters_ = node_->count_publishers(remapped_ + "/order");
+  views_followed_ = view_publisher_->get_subscription_count() > sorters_;
+  if (map_->report().batches == 0) other_user_ = otherUserSharesMemory();
   if (map_->watch()) {
     const Pause pause(*this);
     map_->subscribe();
   }
   const std::lock_guard lock(mutex_);
-  if (sorters == 0) dropped_order_.clear();
+  if (sorters_ == 0) dropped_order_.clear();
 }
 
 void GaussianClient::publishPose(const rosplat_msgs::msg::ViewCamera& view) {
@@ -218,7 +220,8 @@ bool GaussianClient::renderRequestsWait() const {
 
 GaussianClient::Status GaussianClient::status() const {
   const std::lock_guard lock(mutex_);
-  Status status{map_->report(), frame_id_, {}, dropped_order_, sidecar_->report()};
+  Status status{map_->report(), frame_id_,         {}, other_user_, sorters_,
+                dropped_order_, sidecar_->report()};
   if (status.best_effort_unheard) {
     status.unheard = "best effort and another is reliable: set Reliability Policy to Best Effort";
   } else if (status.volatile_unheard) {

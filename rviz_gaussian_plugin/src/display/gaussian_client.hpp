@@ -45,6 +45,8 @@ class GaussianClient {
   struct Status : MapReceiver::Report {
     std::string frame_id;           // of the map
     std::string unheard;            // a publisher's QoS that may be why no batch arrives
+    bool other_user = false;        // another user's programs share memory on this machine
+    std::size_t sorters = 0;        // that publish orders
     std::string dropped_order;      // why the last order was dropped; empty if it wasn't
     SidecarSwitch::Report sidecar;  // what became of switchBackend()
   };
@@ -111,6 +113,8 @@ class GaussianClient {
   rclcpp::Subscription<SplatOrder>::SharedPtr orders_;
   rclcpp::Publisher<rosplat_msgs::msg::ViewCamera>::SharedPtr view_publisher_;
   std::atomic<bool> views_followed_ = false;
+  std::atomic<bool> other_user_ = false;
+  std::atomic<std::size_t> sorters_ = 0;
   rclcpp::Publisher<rosplat_msgs::msg::Gaussian>::SharedPtr picked_publisher_;
   rclcpp::Service<RenderView>::SharedPtr render_service_;
   std::unique_ptr<CameraTrail> trail_;  // if poses are published

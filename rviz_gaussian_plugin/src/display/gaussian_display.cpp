@@ -338,6 +338,8 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
     const std::string backend = backend_->getStdString();
     const bool any = backend == kUnchanged || backend == kAnyBackend;
     lines.push_back(sidecarStatus(received, any ? "" : backend, views));
+  } else if (cloud_->settings().order == OrderSource::kSidecar && received.sorters == 0) {
+    lines.push_back(noSorterStatus(received.topic));
   }
   if (received.batches > 0) lines.push_back(mapStatus(map, scene.backlog()));
   const bool draws = cloud_->error().empty();
@@ -361,6 +363,7 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
     if (frame.order_source.empty()) continue;  // nothing is drawn yet
     lines.push_back(orderStatus(frame, view));
     lines.push_back(frameStatus(frame, view));
+    if (frame.paint_time > 0) lines.push_back(pictureStatus(frame, view));
     if (!(wanted == Detail{})) {
       lines.push_back(detailStatus(wanted, frame, bytes.levels, view));
     }

@@ -1,5 +1,11 @@
 #include "ros_graph.hpp"
 
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <system_error>
+
 namespace rosplat {
 
 std::string nodeOf(const rclcpp::TopicEndpointInfo& endpoint) {
@@ -8,6 +14,17 @@ std::string nodeOf(const rclcpp::TopicEndpointInfo& endpoint) {
   if (name.empty() || name == "_NODE_NAME_UNKNOWN_") return {};
   const std::string& space = endpoint.node_namespace();
   return (space == "/" ? "" : space) + "/" + name;
+}
+
+bool otherUserSharesMemory(const std::string& folder) {
+  std::error_code error;
+  for (const auto& file : std::filesystem::directory_iterator(folder, error)) {
+    struct stat of{};
+    const bool shared =
+        file.path().filename().string().rfind("fast", 0) == 0;  // fastrtps_, fastdds_
+    if (shared && stat(file.path().c_str(), &of) == 0 && of.st_uid != geteuid()) return true;
+  }
+  return false;
 }
 
 }  // namespace rosplat

@@ -9,4 +9,7 @@ namespace rosplat {
 // unknown: discovery tells of endpoints before their nodes.
 std::string nodeOf(const rclcpp::TopicEndpointInfo& endpoint);
 
+// Whether Fast DDS's shared memory in a folder is another user's, which can't write to ours.
+bool otherUserSharesMemory(const std::string& folder = "/dev/shm");
+
 }  // namespace rosplat

@@ -92,6 +92,7 @@ std::vector<FrameReport> CardDrawer::draw(const Picture& picture, Canvas,
     report.error = drawn[i].error;
     report.detail_error = drawn[i].detail_error;
     report.rasterizer = "tiles";
+    report.emulated = renderer_->emulated();
     report.profile = renderer_->profile();
     if (!order) {
       report.splats = drawn[i].drawn;

@@ -30,6 +30,7 @@ struct FrameReport {
   double picture_age = 0;                 // recent maximum, 0 for a picture of this camera [s]
   double camera_off = 0;                  // recent maximum: time from its camera to this one [s]
   std::string rasterizer;                 // "tiles" or "processor"
+  bool emulated = false;                  // no card draws the tiles, OpenGL does on the processor
   std::map<std::string, double> profile;  // time of each stage, if asked for [s]
   MapState map;                           // the map as it was drawn
 };

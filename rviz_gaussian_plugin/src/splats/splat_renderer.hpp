@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "gl/canvas.hpp"
+#include "gl/driver.hpp"
 #include "gl/program.hpp"
 #include "gl/shaders.hpp"
 #include "gl/stopwatch.hpp"
@@ -90,6 +91,8 @@ class SplatRenderer {
 
   // For the user: what the driver can't do and what is done instead. Empty if it can do everything.
   std::string warning() const;
+  // Whether OpenGL draws on the processor.
+  bool emulated() const { return emulated_; }
 
   // Of the last draw(), by stage [s]; empty unless settings.profile asked for it.
   const std::map<std::string, double>& profile() const { return profile_; }
@@ -144,7 +147,8 @@ class SplatRenderer {
   std::size_t picked_layers_ = 0;
   gl::Target depth_, surface_depth_, pick_depth_;
   std::map<GLenum, bool> copies_depth_;  // whether the driver does, by format
-  bool leaves_out_ = false;              // some splats of the last picture, for lack of memory
+  const bool emulated_ = !gl::accelerated();
+  bool leaves_out_ = false;  // some splats of the last picture, for lack of memory
   std::map<std::string, double> profile_;
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };
