@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from rosplat_core.cameras import Camera, look_at
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_lab import metrics
 from rosplat_lab.render import command as render
 
@@ -94,7 +94,7 @@ def test_cameras_are_checked_before_anything_starts(
     cv2.imwrite(str(tmp_path / "small.png"), np.zeros((4, 6, 3), np.uint8))
     good = Camera(4, 64, 48, 60.0, 60.0, 32.0, 24.0, np.eye(4))
     render.check(file, [good])
-    with pytest.raises(SceneError, match=f"cameras.json: {reason}"):
+    with pytest.raises(InputError, match=f"cameras.json: {reason}"):
         render.check(file, [good, replace(good, **({"id": 5} | change))])
 
 

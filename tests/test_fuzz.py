@@ -29,7 +29,7 @@ from rosplat_core.maps import Arrival
 from rosplat_core.posed_camera import CameraError
 from rosplat_core.rendering import CpuRenderer, DrawMode, OrderSource, SplatCamera
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_core.view import SortView
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import LoadScene, RenderView, SaveMap
@@ -376,7 +376,7 @@ def read(
     scenes: Callable[[Path], list[fuzz.Scene]] = fuzz.scenes,
     cases: int = fuzz.CASES,
 ) -> Claims:
-    """A damaged file is a scene, or a SceneError of a line that names it."""
+    """A damaged file is a scene, or a InputError of a line that names it."""
     folder = Path.cwd()
     wholes = scenes(folder / "wholes")
     claims = Claims()
@@ -396,7 +396,7 @@ def read(
                 formats.load(path, warn=lambda text: None)
                 formats.axes(path)
                 loaded += 1
-            except SceneError as error:
+            except InputError as error:
                 refused += 1
                 assert str(error).startswith(str(folder)), error
                 assert "\n" not in str(error)

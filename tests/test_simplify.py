@@ -28,7 +28,7 @@ from rosplat_core.simplification.merging import find_pairs, merge
 from rosplat_core.simplification.search import Learnt, Simplification
 from rosplat_core.simplification.views import Around, resized, whereabouts
 from rosplat_core.slot_order import put_in_slot_order
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_lab.simplify.command import main
 from rosplat_testing import PATIENCE
 
@@ -129,7 +129,7 @@ def test_the_bound_is_that_of_the_file(garden: Splats, tmp_path: Path) -> None:
 
 
 def test_an_empty_map(garden: Splats) -> None:
-    with pytest.raises(SceneError, match="no splats"):
+    with pytest.raises(InputError, match="no splats"):
         simplify(garden[:0], psnr=45)
 
 
@@ -143,7 +143,7 @@ def test_an_empty_map(garden: Splats) -> None:
     ],
 )
 def test_arguments_that_are_none(garden: Splats, given: dict[str, Any], error: str) -> None:
-    with pytest.raises(SceneError, match=f"simplify: {error}"):
+    with pytest.raises(InputError, match=f"simplify: {error}"):
         simplify(garden, **given, cameras=orbit([[-2, -2, -2], [2, 2, 2]], 12))
 
 
@@ -158,7 +158,7 @@ def test_splats_that_can_not_be_drawn_are_dropped(
     assert len(fewer) == 500
     assert np.isfinite(getattr(fewer, name)).all()
     assert "simplify: dropped 2 of 3,000 splats: a number that is not finite" in caplog.text
-    with pytest.raises(SceneError, match="no splats"):
+    with pytest.raises(InputError, match="no splats"):
         simplify(splats[[3, 5]], max_splats=500)
 
 

@@ -15,7 +15,7 @@ from rosplat_core.generated import generate
 from rosplat_core.simplification.search import Simplification
 from rosplat_core.simplification.views import LEAST_BETWEEN, TURN, Along
 from rosplat_core.slot_order import put_in_slot_order
-from rosplat_core.splats import SceneError, Splats, concatenate
+from rosplat_core.splats import InputError, Splats, concatenate
 from rosplat_lab.simplify.command import main
 from rosplat_lab.simplify.path import along, load_camera_info
 from rosplat_ros.poses import to_pose
@@ -231,7 +231,7 @@ def test_a_calibration_s_yaml(tmp_path: Path) -> None:
         CALIBRATION.replace("640", "wide"): "width is 'wide'",
     }.items():
         info.write_text(text)
-        with pytest.raises(SceneError, match=f"info.yaml: {reason}"):
+        with pytest.raises(InputError, match=f"info.yaml: {reason}"):
             load_camera_info(info)
 
 
@@ -241,7 +241,7 @@ def test_a_path_that_looks_away_sees_nothing_though_its_neighbours_do(
     def away(camera: Camera) -> Camera:
         return replace(camera, world_to_camera=np.diag([-1, 1, -1, 1]) @ camera.world_to_camera)
 
-    with pytest.raises(SceneError, match="no camera of the path sees a splat"):
+    with pytest.raises(InputError, match="no camera of the path sees a splat"):
         Simplification(scene, path=[away(camera) for camera in path])
     number = LEAST_BETWEEN // 2  # of the one that is held back: that it sees something is enough
     some = [away(camera) for camera in path[:LEAST_BETWEEN]]

@@ -16,7 +16,7 @@ from rosplat_core.generated import generate
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.rendering import CpuRenderer, insert_groups, move, posed
 from rosplat_core.rigid import placed
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_lab import reference
 from rosplat_tools.lidars.scanning import Lidar, Pattern
 from rosplat_tools.simulation import body_pictures
@@ -205,7 +205,7 @@ def test_a_camera_that_there_is_not_is_named(model: Any, data: Any) -> None:
 
 def test_without_mujoco_its_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
-    with pytest.raises(SceneError, match="pip install mujoco"):
+    with pytest.raises(InputError, match="pip install mujoco"):
         SplatCamera(None, None, cloud())
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rosplat_core.rendering import CpuRenderer, render
     from rosplat_core.simplification import simplify
     from rosplat_core.slot_order import put_in_slot_order
-    from rosplat_core.splats import SceneError, Splats, concatenate
+    from rosplat_core.splats import InputError, Splats, concatenate
     from rosplat_core.upright import find_up
 
 __all__ = [
@@ -29,9 +29,9 @@ __all__ = [
     "Camera",
     "CpuRenderer",
     "DistanceField",
+    "InputError",
     "Model",
     "Relocaliser",
-    "SceneError",
     "Splats",
     "align",
     "concatenate",
@@ -64,7 +64,7 @@ _MODULES = {
     "rendering": ("CpuRenderer", "render"),
     "simplification": ("simplify",),
     "slot_order": ("put_in_slot_order",),
-    "splats": ("SceneError", "Splats", "concatenate"),
+    "splats": ("InputError", "Splats", "concatenate"),
     "upright": ("find_up",),
 }
 

@@ -23,7 +23,7 @@ from rosplat_core import foreign_cameras
 from rosplat_core.program.files import write_text
 from rosplat_core.quaternions import from_matrices, to_matrices
 from rosplat_core.rigid import rigid
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 
 _log = logging.getLogger(__name__)
 
@@ -144,7 +144,7 @@ def load_cameras(path: str | Path, warn: Callable[[str], object] = _log.warning)
     """Reads a camera file: ours, INRIA's cameras.json, nerfstudio's transforms.json, or COLMAP's.
 
     COLMAP's is a folder, or one of its files. warn is called with what is left out, such as lens
-    distortion. Raises SceneError naming the file, the camera and the field.
+    distortion. Raises InputError naming the file, the camera and the field.
     """
     path, told = Path(path), list[str]()
     try:
@@ -153,29 +153,29 @@ def load_cameras(path: str | Path, warn: Callable[[str], object] = _log.warning)
             document = json.loads(path.read_text(encoding="utf-8"))
             entries = foreign_cameras.entries(document, path, told.append)
     except OSError as error:
-        raise SceneError(f"{path}: {error.strerror or error}") from error
+        raise InputError(f"{path}: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
-        if isinstance(error, SceneError):
+        if isinstance(error, InputError):
             raise
-        raise SceneError(f"{path}: not JSON: {error}") from error
+        raise InputError(f"{path}: not JSON: {error}") from error
     for text in dict.fromkeys(told):
         warn(text)
     if not isinstance(entries, list):
-        raise SceneError(f"{path}: expected a list of cameras")
+        raise InputError(f"{path}: expected a list of cameras")
     return [_camera(entry, f"{path}: camera {index}") for index, entry in enumerate(entries)]
 
 
 def _camera(entry: Any, where: str) -> Camera:
     if not isinstance(entry, dict):
-        raise SceneError(f"{where}: expected an object")
+        raise InputError(f"{where}: expected an object")
     known = {field.name: field.default is MISSING for field in fields(Camera)}
     missing = [name for name, required in known.items() if required and name not in entry]
     if missing:
-        raise SceneError(f"{where}: no {', '.join(missing)}")
+        raise InputError(f"{where}: no {', '.join(missing)}")
     try:
         return Camera(**{name: value for name, value in entry.items() if name in known})
     except ValueError as error:
-        raise SceneError(f"{where}: {error}") from error
+        raise InputError(f"{where}: {error}") from error
 
 
 def picture_of(path: Path, camera: Camera) -> Path | None:
@@ -185,30 +185,30 @@ def picture_of(path: Path, camera: Camera) -> Path | None:
 
 
 def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
-    """Writes a camera file. Raises SceneError when it can't be written."""
+    """Writes a camera file. Raises InputError when it can't be written."""
     entries = [
         asdict(camera) | {"world_to_camera": camera.world_to_camera.tolist()} for camera in cameras
     ]
     try:
         write_text(Path(path), json.dumps(entries, indent=1) + "\n")
     except OSError as error:
-        raise SceneError(f"{path}: {error.strerror or error}") from error
+        raise InputError(f"{path}: {error.strerror or error}") from error
     except ValueError as error:  # no name of a file
-        raise SceneError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {error}") from error
 
 
 def load_trajectory(path: str | Path, camera: Camera) -> list[Camera]:
     """Reads a trajectory of the TUM benchmark (Sturm et al. 2012): `camera` at each of its poses.
 
     A line is time x y z qx qy qz qw [s, m], the optical frame's pose in the world. Raises
-    SceneError naming the file and the line.
+    InputError naming the file and the line.
     """
     try:
         text = Path(path).read_text(encoding="utf-8")
     except OSError as error:
-        raise SceneError(f"{path}: {error.strerror or error}") from error
+        raise InputError(f"{path}: {error.strerror or error}") from error
     except ValueError as error:
-        raise SceneError(f"{path}: is no text") from error
+        raise InputError(f"{path}: is no text") from error
     cameras: list[Camera] = []
     for number, line in enumerate(text.splitlines(), 1):
         values = line.partition("#")[0].split()
@@ -219,13 +219,13 @@ def load_trajectory(path: str | Path, camera: Camera) -> list[Camera]:
         except ValueError:
             pose = []
         if len(pose) != 7 or not np.isfinite(pose).all() or not any(pose[3:]):
-            raise SceneError(f"{path}: line {number}: expected time x y z qx qy qz qw")
+            raise InputError(f"{path}: line {number}: expected time x y z qx qy qz qw")
         world_to_camera = np.eye(4)
         world_to_camera[:3, :3] = to_matrices(pose[3:]).T
         world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ pose[:3]
         cameras.append(replace(camera, id=len(cameras), world_to_camera=world_to_camera))
     if not cameras:
-        raise SceneError(f"{path}: holds no poses")
+        raise InputError(f"{path}: holds no poses")
     return cameras
 
 

@@ -22,7 +22,7 @@ from scipy import ndimage
 from rosplat_core.occupancy import RESOLUTION, OccupancyMap, depth_of, hollows, occupied_by
 from rosplat_core.program.files import replacing
 from rosplat_core.rigid import rigid
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 
 LIGHT = 0.5  # least share that an occupied voxel takes away
 MARGIN = 1.0  # around the occupied voxels, within which distances are known [m]
@@ -57,7 +57,7 @@ class DistanceField:
         """The field of a map. pose: (4, 4) of the map in the field's frame [m].
 
         margin: width of the part around the surfaces that has distances [m]. filled: closed hollows
-        are inside. Raises SceneError for a map without surfaces, or too large for the resolution.
+        are inside. Raises InputError for a map without surfaces, or too large for the resolution.
         """
         pose = rigid(np.eye(4) if pose is None else pose, "pose")
         voxels = occupied_by(splats, pose, resolution)
@@ -82,12 +82,12 @@ class DistanceField:
             near = (points[:, 2] >= low - margin) & (points[:, 2] <= high + margin)
             cells, points, normals = cells[near], points[near], normals[near]
         if not len(cells):
-            raise SceneError("the map has no surface that distances could be measured to")
+            raise InputError("the map has no surface that distances could be measured to")
         rim = int(np.ceil(margin / resolution))
         least, most = cells.min(axis=0) - rim, cells.max(axis=0) + rim
         shape = most - least + 1
         if shape.prod() > MOST_VOXELS:
-            raise SceneError(
+            raise InputError(
                 f"distances of {shape.prod():,} voxels, at most {MOST_VOXELS:,} are held: choose "
                 f"a coarser resolution than {resolution:g} m"
             )
@@ -133,7 +133,7 @@ class DistanceField:
         return points, self.at(points)[0]
 
     def save(self, path: str | Path) -> None:
-        """Writes a NumPy file (.npz) of the attributes by their names. Raises SceneError."""
+        """Writes a NumPy file (.npz) of the attributes by their names. Raises InputError."""
         try:
             with replacing(Path(path)) as part, part.open("wb") as file:
                 np.savez_compressed(
@@ -144,7 +144,7 @@ class DistanceField:
                     map_pose=self.map_pose,
                 )
         except OSError as error:
-            raise SceneError(f"{path}: {error.strerror or error}") from error
+            raise InputError(f"{path}: {error.strerror or error}") from error
 
 
 def _measured(

@@ -37,7 +37,7 @@ from rosplat_core.cameras import Camera, load_cameras, look_at
 from rosplat_core.payload import PACKED, decode
 from rosplat_core.quaternions import from_matrices, product, to_matrices
 from rosplat_core.rendering import Contributions, CpuRenderer, posed
-from rosplat_core.splats import PackedSplats, SceneError, Splats
+from rosplat_core.splats import InputError, PackedSplats, Splats
 from rosplat_core.upright import find_up
 
 _log = logging.getLogger(__name__)
@@ -115,7 +115,7 @@ def cameras_beside(scene: str) -> list[Camera]:
             if (folder / name).is_file():
                 try:
                     return load_cameras(folder / name)
-                except SceneError as error:
+                except InputError as error:
                     _log.warning("cameras are not taken: %s", error)
     return []
 

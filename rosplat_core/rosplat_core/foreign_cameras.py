@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from rosplat_core.formats.bounds import refusing
 from rosplat_core.log_text import shown
 from rosplat_core.quaternions import to_matrices
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 Entry = dict[str, Any]
 Warn = Callable[[str], object]
@@ -51,7 +51,7 @@ PLACES = (".", "sparse/0", "sparse", "colmap/sparse/0")  # of a model in a folde
 def entries(document: Any, path: Path, warn: Warn) -> Any:
     """The entries of a JSON document; one of an unknown kind is returned as it is.
 
-    Raises SceneError that names the file, the camera and the field.
+    Raises InputError that names the file, the camera and the field.
     """
     if isinstance(document, dict) and "frames" in document:
         return _transforms(document, path, warn)
@@ -108,7 +108,7 @@ def _transforms(document: Entry, path: Path, warn: Warn) -> list[Entry]:
     bent = [name for name in DISTORTION if any(frame.get(name) for frame in frames)]
     models = {str(frame.get("camera_model", "")) for frame in frames}
     if round_ := sorted(model for model in models if model.startswith(NO_PINHOLE)):
-        raise SceneError(f"{path}: camera model {shown(round_[0])} has no pinhole picture")
+        raise InputError(f"{path}: camera model {shown(round_[0])} has no pinhole picture")
     bent += sorted(model for model in models if "FISHEYE" in model)
     if bent:
         warn(f"{path}: lens distortion {', '.join(bent)} left out: cameras are drawn without it")

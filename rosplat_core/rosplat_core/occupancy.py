@@ -19,7 +19,7 @@ from rosplat_core._core import OccupancyMap
 from rosplat_core.program.files import replacing
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.rendering import insert_all
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 
 __all__ = [
     "FREE", "MOST_ACROSS", "OCCUPIED", "RESOLUTION", "UNKNOWN", "Grid", "OccupancyMap", "depth_of",
@@ -56,10 +56,10 @@ def depth_of(absorbed: float) -> float:
 
 
 def voxels_across(size: float, resolution: float) -> int:
-    """Voxels along each axis of a cube of a size [m], even. Raises SceneError above MOST_ACROSS."""
+    """Voxels along each axis of a cube of a size [m], even. Raises InputError above MOST_ACROSS."""
     across = 2 * math.ceil(size / resolution / 2)
     if across > MOST_ACROSS:
-        raise SceneError(
+        raise InputError(
             f"size {size:g} m at resolution {resolution:g} m: {across:,} voxels along an axis, at "
             f"most {MOST_ACROSS:,} are held"
         )
@@ -71,22 +71,22 @@ def occupied_by(
 ) -> OccupancyMap:
     """The voxels of a map, within SIZE. pose: (4, 4) of the map in their frame [m].
 
-    Raises SceneError for more voxels than are held.
+    Raises InputError for more voxels than are held.
     """
     voxels = OccupancyMap(resolution, voxels_across(SIZE, resolution))
     voxels.place(pose[:3, 3].tolist(), from_matrices(pose[:3, :3]).tolist())
     insert_all(voxels, splats)
     if voxels.full:
-        raise SceneError(f"more than {voxels.most:,} voxels: choose a coarser resolution")
+        raise InputError(f"more than {voxels.most:,} voxels: choose a coarser resolution")
     return voxels
 
 
 def hollows(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Voxels (m, 3) that occupied ones (n, 3) enclose on all sides. Raises SceneError."""
+    """Voxels (m, 3) that occupied ones (n, 3) enclose on all sides. Raises InputError."""
     least = cells.min(axis=0)
     shape = cells.max(axis=0) - least + 1
     if shape.prod() > MOST_FILLED:
-        raise SceneError("the map is too wide to be filled: choose a coarser resolution")
+        raise InputError("the map is too wide to be filled: choose a coarser resolution")
     occupied = np.zeros(shape, bool)
     occupied[tuple((cells - least).T)] = True
     return np.asarray(np.argwhere(ndimage.binary_fill_holes(occupied) & ~occupied) + least)
@@ -149,10 +149,10 @@ def towards(
 def save_grid(path: Path, grid: Grid) -> None:
     """Writes a grid as map_server reads it: path, which ends in .yaml, and a .pgm beside it.
 
-    Raises SceneError for another ending, OSError where a file can't be written.
+    Raises InputError for another ending, OSError where a file can't be written.
     """
     if path.suffix != ".yaml":
-        raise SceneError(f"{path}: expected a name that ends in .yaml")
+        raise InputError(f"{path}: expected a name that ends in .yaml")
     picture = path.with_suffix(".pgm")
     height, width = grid.cells.shape
     grey = np.full(grid.cells.shape, _GREY[UNKNOWN], np.uint8)

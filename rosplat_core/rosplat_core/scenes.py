@@ -9,7 +9,7 @@ from rosplat_core.formats import Into, IntoSplats, Made, Progress, Warn
 from rosplat_core.generated import generate_into
 from rosplat_core.program.whole_numbers import whole_number
 from rosplat_core.slot_pages import MAX_SLOTS
-from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats
+from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats
 
 PROCEDURAL = "procedural:"
 ROOMS = "rooms:"
@@ -28,9 +28,9 @@ def is_generated(name: str) -> bool:
 
 
 def check_scene(name: str) -> None:
-    """Raises SceneError, before other work, for a file that isn't there, or is no scene."""
+    """Raises InputError, before other work, for a file that isn't there, or is no scene."""
     if not name:
-        raise SceneError("no scene is named")
+        raise InputError("no scene is named")
     if is_generated(name):
         _numbers(name)
     else:
@@ -38,7 +38,7 @@ def check_scene(name: str) -> None:
 
 
 def load_scene(name: str, progress: Progress, warn: Warn) -> Splats:
-    """Reads a scene to be shown; as read_scene, but raises SceneError for one without a splat."""
+    """Reads a scene to be shown; as read_scene, but raises InputError for one without a splat."""
     return load_scene_into(IntoSplats(), name, progress, warn)
 
 
@@ -46,14 +46,14 @@ def load_scene_into(into: Into[Made], name: str, progress: Progress, warn: Warn)
     """As load_scene, with splats of the kind that `into` makes."""
     splats = _read(into, name, progress, warn)
     if len(splats) == 0:
-        raise SceneError(f"{name}: holds no splats")
+        raise InputError(f"{name}: holds no splats")
     return splats
 
 
 def read_scene(name: str, progress: Progress, warn: Warn) -> Splats:
     """Reads a scene file as formats.load, or generates COUNT splats.
 
-    Raises SceneError, also for more splats than a map or this machine's memory holds.
+    Raises InputError, also for more splats than a map or this machine's memory holds.
     """
     return _read(IntoSplats(), name, progress, warn)
 
@@ -72,22 +72,22 @@ def _generated(into: Into[Made], name: str, progress: Progress) -> Made:
     try:
         return generate_into(into, count, seed, MAX_SH_DEGREE, progress, scene)
     except MemoryError as error:
-        raise SceneError(f"{name}: too large for this machine's memory") from error
+        raise InputError(f"{name}: too large for this machine's memory") from error
 
 
 def _numbers(name: str) -> tuple[int, int]:
-    """COUNT and SEED of a generated scene's name. Raises SceneError."""
+    """COUNT and SEED of a generated scene's name. Raises InputError."""
     kind, _, numbers = name.partition(":")
     match = re.fullmatch(r"(\d{1,18}|[\d.]{1,18}[kKmM])(?::(\d{1,18}))?", numbers, re.ASCII)
     try:
         count, seed = map(whole_number, match.groups("0") if match else "?")
     except ValueError:
-        raise SceneError(f"{name}: expected {kind}:COUNT[:SEED], such as {kind}:20k") from None
+        raise InputError(f"{name}: expected {kind}:COUNT[:SEED], such as {kind}:20k") from None
     if not 1 <= count <= MAX_SLOTS:
-        raise SceneError(f"{name}: expected 1 to {MAX_SLOTS:,} splats, as many as a map has")
+        raise InputError(f"{name}: expected 1 to {MAX_SLOTS:,} splats, as many as a map has")
     return count, seed
 
 
 def _check(name: str, count: int) -> None:
     if count > MAX_SLOTS:
-        raise SceneError(f"{name}: {count:,} splats; a map has at most {MAX_SLOTS:,}")
+        raise InputError(f"{name}: {count:,} splats; a map has at most {MAX_SLOTS:,}")

@@ -31,7 +31,7 @@ MOST_LOOKED_AT = 10_000  # splats that are looked at to tell what their numbers 
 LONGEST_ERROR = 10_000  # of an error's text, which may hold a path or a URL [characters]
 
 
-class SceneError(ValueError):
+class InputError(ValueError):
     """A scene, camera or option that can't be used. The text is one line, meant for the user."""
 
     def __init__(self, text: str) -> None:

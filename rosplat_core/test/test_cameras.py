@@ -20,7 +20,7 @@ from rosplat_core.cameras import (
     orbit,
     save_cameras,
 )
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 points = st.tuples(*[st.floats(-100, 100)] * 3)
 
@@ -97,7 +97,7 @@ def test_bad_cameras_are_named(tmp_path: Path, change: dict[str, Any], reason: s
     entries = json.loads((tmp_path / "cameras.json").read_text())
     entries[1] |= change
     (tmp_path / "cameras.json").write_text(json.dumps(entries))
-    with pytest.raises(SceneError, match=rf"cameras\.json: camera 1: .*{reason}"):
+    with pytest.raises(InputError, match=rf"cameras\.json: camera 1: .*{reason}"):
         load_cameras(tmp_path / "cameras.json")
 
 
@@ -113,14 +113,14 @@ def test_bad_cameras_are_named(tmp_path: Path, change: dict[str, Any], reason: s
 )
 def test_bad_files_are_named(tmp_path: Path, text: str, reason: str) -> None:
     (tmp_path / "cameras.json").write_text(text)
-    with pytest.raises(SceneError, match=reason):
+    with pytest.raises(InputError, match=reason):
         load_cameras(tmp_path / "cameras.json")
 
 
 def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="none"):
+    with pytest.raises(InputError, match="none"):
         load_cameras(tmp_path / "none.json")
-    with pytest.raises(SceneError, match="none"):
+    with pytest.raises(InputError, match="none"):
         save_cameras(tmp_path / "none" / "cameras.json", [])
 
 
@@ -195,9 +195,9 @@ def test_a_trajectory_has_a_camera_at_each_pose(tmp_path: Path) -> None:
 def test_a_trajectory_that_is_none(tmp_path: Path, text: str, reason: str) -> None:
     path = tmp_path / "poses.txt"
     path.write_text(text)
-    with pytest.raises(SceneError, match=f"poses.txt: {reason}"):
+    with pytest.raises(InputError, match=f"poses.txt: {reason}"):
         load_trajectory(path, camera())
-    with pytest.raises(SceneError, match=r"none\.txt: No such file"):
+    with pytest.raises(InputError, match=r"none\.txt: No such file"):
         load_trajectory(tmp_path / "none.txt", camera())
 
 
@@ -208,5 +208,5 @@ def test_an_angle_of_view_that_can_t_be_is_named(fov: float) -> None:
 
 
 def test_a_path_that_can_t_be_is_named() -> None:
-    with pytest.raises(SceneError, match="embedded null"):
+    with pytest.raises(InputError, match="embedded null"):
         save_cameras("a\0", [camera()])

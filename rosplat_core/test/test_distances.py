@@ -12,7 +12,7 @@ from rosplat_core.distances import DistanceField
 from rosplat_core.generated import generate
 from rosplat_core.generated.rooms import LAMP, Rooms
 from rosplat_core.generated.surfaces import constant, quaternions, surface
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 
 EDGE = 0.1  # of voxels [m]
 
@@ -108,15 +108,15 @@ def test_between_voxels_distances_are_interpolated(tmp_path) -> None:
 
 def test_what_has_no_distances_is_said(tmp_path, monkeypatch) -> None:
     splats = ball(0.8)
-    with pytest.raises(SceneError, match="no surface"):
+    with pytest.raises(InputError, match="no surface"):
         DistanceField.of(splats[:0])
-    with pytest.raises(SceneError, match="voxels along an axis"):
+    with pytest.raises(InputError, match="voxels along an axis"):
         DistanceField.of(splats, resolution=0.005)
     field = DistanceField.of(splats, resolution=EDGE)
     monkeypatch.setattr(distances, "MOST_VOXELS", field.distances.size - 1)
-    with pytest.raises(SceneError, match="coarser resolution"):
+    with pytest.raises(InputError, match="coarser resolution"):
         DistanceField.of(splats, resolution=EDGE)
     with pytest.raises(ValueError, match="points: expected finite"):
         field.at([[np.nan, 0, 0]])
-    with pytest.raises(SceneError, match="nowhere"):
+    with pytest.raises(InputError, match="nowhere"):
         field.save(tmp_path / "nowhere" / "field.npz")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rosplat_core.formats import SceneError, check_output
+from rosplat_core.formats import InputError, check_output
 from rosplat_core.program.files import replacing, write_below, write_text
 
 
@@ -74,7 +74,7 @@ def test_what_is_no_file_stays(tmp_path: Path) -> None:
     os.mkfifo(path)
     with pytest.raises(OSError, match=r"no file.*a\.ply'$"), replacing(path) as partial:
         partial.write_text("new")
-    with pytest.raises(SceneError, match=r"a\.ply: is no file"):
+    with pytest.raises(InputError, match=r"a\.ply: is no file"):
         check_output(path, overwrite=True)
     assert path.is_fifo()
     assert list(tmp_path.iterdir()) == [path]

@@ -10,7 +10,7 @@ from PIL import Image
 
 from rosplat_core.cameras import Camera, load_cameras, look_at
 from rosplat_core.quaternions import from_matrices
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 CAMERAS = [
     Camera(i, 640, 480, 500.0, 510.0, 320.0, 240.0, look_at((3, i, 2), (0, 0, 0))) for i in range(3)
@@ -51,7 +51,7 @@ def test_inria(tmp_path: Path) -> None:
     ]  # fmt: skip
     assert_cameras(load_cameras(write(tmp_path / "cameras.json", document)))
     del document[1]["fx"]
-    with pytest.raises(SceneError, match=r"cameras\.json: camera 1: .*fx"):
+    with pytest.raises(InputError, match=r"cameras\.json: camera 1: .*fx"):
         load_cameras(write(tmp_path / "cameras.json", document))
 
 
@@ -64,7 +64,7 @@ def test_nerfstudio(tmp_path: Path) -> None:
 
 def test_cameras_that_see_all_around_are_named(tmp_path: Path) -> None:
     path = write(tmp_path / "transforms.json", transforms(camera_model="EQUIRECTANGULAR"))
-    with pytest.raises(SceneError, match="EQUIRECTANGULAR has no pinhole"):
+    with pytest.raises(InputError, match="EQUIRECTANGULAR has no pinhole"):
         load_cameras(path)
     told: list[str] = []
     write(path, transforms(camera_model="OPENCV_FISHEYE"))
@@ -106,7 +106,7 @@ def test_blender(tmp_path: Path) -> None:
     assert found[0].image == "./train/r_0.png"
     frames[1]["file_path"] = "./train/r_1"
     write(path, {**angles, "frames": frames})
-    with pytest.raises(SceneError, match=r"camera 1: .*no w, h"):
+    with pytest.raises(InputError, match=r"camera 1: .*no w, h"):
         load_cameras(path)
 
 
@@ -141,5 +141,5 @@ def test_colmap_in_binary(tmp_path: Path) -> None:
     (tmp_path / "images.bin").write_bytes(images)
     assert_cameras(load_cameras(tmp_path / "images.bin"))
     (tmp_path / "images.bin").write_bytes(images[:100])
-    with pytest.raises(SceneError, match=r"a model of COLMAP: .*cut short"):
+    with pytest.raises(InputError, match=r"a model of COLMAP: .*cut short"):
         load_cameras(tmp_path)

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.lib.recfunctions as structured
 import pytest
 
-from rosplat_core.formats import SceneError, format_of, load, save
+from rosplat_core.formats import InputError, format_of, load, save
 from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 
@@ -121,7 +121,7 @@ def test_flat_splats_and_lost_numbers(random_splats: Make, tmp_path: Path) -> No
     save(tmp_path / "a.compressed.ply", splats)
     assert load(tmp_path / "a.compressed.ply").scales[:, 2].max() < 1e-8
     splats.opacities[3] = np.nan
-    with pytest.raises(SceneError, match=r"b\.compressed\.ply: a number that is not finite"):
+    with pytest.raises(InputError, match=r"b\.compressed\.ply: a number that is not finite"):
         save(tmp_path / "b.compressed.ply", splats)
 
 
@@ -157,5 +157,5 @@ def test_broken_layouts(
                 rows = rows[:change]
         elements.append(PlyElement.describe(np.array(rows), part.name))
     PlyData(elements, byte_order="<").write(path)
-    with pytest.raises(SceneError, match=rf"a\.ply: {reason}"):
+    with pytest.raises(InputError, match=rf"a\.ply: {reason}"):
         load(path)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from ksplat_file import ksplat
 
-from rosplat_core.formats import SceneError, load, save
+from rosplat_core.formats import InputError, load, save
 from rosplat_core.formats.decoded import BLOCK
 from rosplat_core.formats.file_rows import FileRows
 from rosplat_core.splats import Splats
@@ -23,7 +23,7 @@ def test_a_file_that_is_cut_short_is_named(
         path.write_bytes(ksplat([random_splats(20, 0)] * 2, 0))  # a block of each section
     else:
         save(path, random_splats(2 * BLOCK, 0))
-    with pytest.raises(SceneError, match=rf"a{suffix}: became shorter while it was read"):
+    with pytest.raises(InputError, match=rf"a{suffix}: became shorter while it was read"):
         load(path, lambda _: os.truncate(path, 0))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rosplat_core.formats import SceneError, format_of, load, save, scene_file
+from rosplat_core.formats import InputError, format_of, load, save, scene_file
 from rosplat_core.splats import Splats, concatenate
 
 Make = Callable[..., Splats]
@@ -34,7 +34,7 @@ def test_tiles_are_one_scene(random_splats: Make, tmp_path: Path, ending: str) -
 def test_a_scene_in_two_formats_has_to_be_named(random_splats: Make, tmp_path: Path) -> None:
     for ending in (".ply", ".splat"):
         save(tmp_path / f"a{ending}", random_splats(3))
-    with pytest.raises(SceneError, match=r"holds \.ply and \.splat: name a file"):
+    with pytest.raises(InputError, match=r"holds \.ply and \.splat: name a file"):
         load(tmp_path)
 
 
@@ -65,5 +65,5 @@ def test_a_model_is_its_newest_iteration(
 
 
 def test_an_empty_folder_is_no_scene(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match="not a scene"):
+    with pytest.raises(InputError, match="not a scene"):
         load(tmp_path)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rosplat_core.cameras import Camera, look_at
-from rosplat_core.formats import SceneError, axes, load, save
+from rosplat_core.formats import InputError, axes, load, save
 from rosplat_core.models import Model
 from rosplat_core.quaternions import to_matrices
 from rosplat_core.rendering import render
@@ -325,7 +325,7 @@ def attributes(asset: Any) -> Any:
 def test_what_is_wrong_is_named(
     changed: Callable[[Change], Path], change: Change, reason: str
 ) -> None:
-    with pytest.raises(SceneError, match=rf"a\.glb: .*{reason}") as error:
+    with pytest.raises(InputError, match=rf"a\.glb: .*{reason}") as error:
         load(changed(change))
     assert len(str(error.value)) < 1000
 
@@ -341,7 +341,7 @@ def test_compressed_splats_are_refused_by_their_extension(
         for accessor in asset["accessors"]:
             del accessor["bufferView"]
 
-    with pytest.raises(SceneError, match=r"packed by KHR_gaussian_splatting_compression_spz_2"):
+    with pytest.raises(InputError, match=r"packed by KHR_gaussian_splatting_compression_spz_2"):
         load(changed(compress))
 
 
@@ -352,7 +352,7 @@ def test_buffers_lie_below_the_scene(
     asset, _ = parts(changed(lambda asset: None))
     asset["buffers"][0]["uri"] = uri
     (tmp_path / "b.gltf").write_text(json.dumps(asset))
-    with pytest.raises(SceneError, match=r"b\.gltf: .*(no file below|No such file)"):
+    with pytest.raises(InputError, match=r"b\.gltf: .*(no file below|No such file)"):
         load(tmp_path / "b.gltf")
 
 
@@ -360,7 +360,7 @@ def test_many_places_of_a_mesh_are_a_claim(random_splats: Make, tmp_path: Path) 
     save(tmp_path / "a.glb", random_splats(500))
     asset, buffer = parts(tmp_path / "a.glb")
     asset |= {"nodes": [{"mesh": 0}] * 9000, "scenes": [{"nodes": list(range(9000))}]}
-    with pytest.raises(SceneError, match=r"4,500,000 splats can't be packed in"):
+    with pytest.raises(InputError, match=r"4,500,000 splats can't be packed in"):
         load(write(tmp_path / "b.glb", asset, buffer))
 
 
@@ -369,7 +369,7 @@ def test_a_file_that_is_cut_off(random_splats: Make, tmp_path: Path) -> None:
     whole = (tmp_path / "a.glb").read_bytes()
     for size in (4, 11, 19, 300, len(whole) - 1):
         (tmp_path / "b.glb").write_bytes(whole[:size])
-        with pytest.raises(SceneError, match=r"b\.glb: truncated"):
+        with pytest.raises(InputError, match=r"b\.glb: truncated"):
             load(tmp_path / "b.glb")
 
 
@@ -383,6 +383,6 @@ def test_linear_colours_are_told(changed: Callable[[Change], Path]) -> None:
 def test_numbers_that_gltf_has_not(random_splats: Make, tmp_path: Path) -> None:
     splats = random_splats(3)
     splats.positions[1, 1] = np.inf
-    with pytest.raises(SceneError, match="not finite can't be written"):
+    with pytest.raises(InputError, match="not finite can't be written"):
         save(tmp_path / "a.glb", splats)
     assert not (tmp_path / "a.glb").exists()

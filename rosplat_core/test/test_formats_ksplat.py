@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from ksplat_file import ksplat
 
-from rosplat_core.formats import SceneError, load
+from rosplat_core.formats import InputError, load
 from rosplat_core.splats import Splats, concatenate
 
 Make = Callable[..., Splats]
@@ -85,7 +85,7 @@ def test_damaged_headers(
     data = bytearray(ksplat([scene(random_splats, 40, 1)], 1))
     struct.pack_into(form, data, place, value)
     (tmp_path / "a.ksplat").write_bytes(data)
-    with pytest.raises(SceneError, match=rf"a\.ksplat: {reason}"):
+    with pytest.raises(InputError, match=rf"a\.ksplat: {reason}"):
         load(tmp_path / "a.ksplat")
 
 
@@ -93,5 +93,5 @@ def test_short_files(random_splats: Make, tmp_path: Path) -> None:
     data = ksplat([scene(random_splats, 40, 1)], 2)
     for size in (0, 1, 4095, 4096, 5119, 5120, len(data) - 1):
         (tmp_path / "a.ksplat").write_bytes(data[:size])
-        with pytest.raises(SceneError, match=r"a\.ksplat: truncated"):
+        with pytest.raises(InputError, match=r"a\.ksplat: truncated"):
             load(tmp_path / "a.ksplat")

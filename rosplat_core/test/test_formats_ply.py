@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rosplat_core.formats import SceneError, axes, load, ply, save
+from rosplat_core.formats import InputError, axes, load, ply, save
 from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 
@@ -75,7 +75,7 @@ def test_further_properties_are_channels(
     assert "left out 4 properties" in told[0]
     save(tmp_path / "a.splat", splats)
     assert "left out label, seen" in caplog.text
-    with pytest.raises(SceneError, match="channel 'opacity'"):
+    with pytest.raises(InputError, match="channel 'opacity'"):
         save(tmp_path / "c.ply", replace(splats, channels={"opacity": np.zeros(3)}))
 
 
@@ -406,14 +406,14 @@ def test_what_is_no_splat_is_named(random_splats: Make, tmp_path: Path) -> None:
     write_rows(tmp_path / "anchors.ply", anchors)
     write_rows(tmp_path / "unturned.ply", without(rows, "rot_3"))
     for name, reason in (("anchors", "anchors of Scaffold-GS"), ("unturned", "no property rot_3")):
-        with pytest.raises(SceneError, match=rf"{name}\.ply: .*{reason}"):
+        with pytest.raises(InputError, match=rf"{name}\.ply: .*{reason}"):
             load(tmp_path / f"{name}.ply")
 
 
 def test_a_point_cloud_is_told_from_a_scene(tmp_path: Path) -> None:
     write_rows(tmp_path / "cloud.ply", np.zeros(5, [("x", "f4"), ("y", "f4"), ("z", "f4")]))
     with pytest.raises(
-        SceneError, match=r"cloud\.ply: not a Gaussian splat: no property opacity, f_dc_0"
+        InputError, match=r"cloud\.ply: not a Gaussian splat: no property opacity, f_dc_0"
     ):
         load(tmp_path / "cloud.ply")
 
@@ -423,7 +423,7 @@ def test_a_truncated_file_names_what_is_missing(random_splats: Make, tmp_path: P
     whole = (tmp_path / "a.ply").read_bytes()
     (tmp_path / "b.ply").write_bytes(whole[:-300])
     with pytest.raises(
-        SceneError, match=rf"b\.ply: truncated.* 10 rows .*{len(whole) - 300:,} bytes hold 8"
+        InputError, match=rf"b\.ply: truncated.* 10 rows .*{len(whole) - 300:,} bytes hold 8"
     ):
         load(tmp_path / "b.ply")
 
@@ -466,7 +466,7 @@ def test_a_truncated_file_names_what_is_missing(random_splats: Make, tmp_path: P
 def test_broken_headers(tmp_path: Path, lines: str, reason: str) -> None:
     text = "ply\n" + lines.replace("|", "\n")
     (tmp_path / "broken.ply").write_bytes(text.encode("latin-1"))
-    with pytest.raises(SceneError, match=rf"broken\.ply: .*{reason}"):
+    with pytest.raises(InputError, match=rf"broken\.ply: .*{reason}"):
         load(tmp_path / "broken.ply")
 
 
@@ -475,24 +475,24 @@ def test_lists_and_odd_counts_are_refused(random_splats: Make, tmp_path: Path) -
     rows = rows_of(tmp_path / "a.ply")
     names = rows.dtype.names or ()
     write_rows(tmp_path / "odd.ply", without(rows, "f_rest_8"))
-    with pytest.raises(SceneError, match=r"8 properties f_rest_\*"):
+    with pytest.raises(InputError, match=r"8 properties f_rest_\*"):
         load(tmp_path / "odd.ply")
     listed = np.empty(2, [(name, "O" if name == "opacity" else "f4") for name in names])
     for name in names:
         for i in range(2):
             listed[name][i] = np.zeros(1, "f4") if name == "opacity" else 0
     write_rows(tmp_path / "list.ply", listed)
-    with pytest.raises(SceneError, match="opacity is a list"):
+    with pytest.raises(InputError, match="opacity is a list"):
         load(tmp_path / "list.ply")
 
 
 def test_a_failed_save_leaves_the_old_file(random_splats: Make, tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"a\.obj: can't write"):
+    with pytest.raises(InputError, match=r"a\.obj: can't write"):
         save(tmp_path / "a.obj", random_splats(1))
-    with pytest.raises(SceneError, match="nowhere"):
+    with pytest.raises(InputError, match="nowhere"):
         save(tmp_path / "nowhere" / "a.ply", random_splats(1))
     save(tmp_path / "a.ply", random_splats(1))
-    with pytest.raises(SceneError, match="exists already"):
+    with pytest.raises(InputError, match="exists already"):
         save(tmp_path / "a.ply", random_splats(2))
     save(tmp_path / "a.ply", random_splats(2), overwrite=True)
     assert len(load(tmp_path / "a.ply")) == 2

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from rosplat_core.formats import SceneError, load, save
+from rosplat_core.formats import InputError, load, save
 from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 
@@ -176,7 +176,7 @@ def test_bad_metadata(tmp_path: Path, keys: list[str], value: object, reason: st
         target = target[key]
     target[keys[-1]] = value
     (tmp_path / "meta.json").write_text(json.dumps(meta))
-    with pytest.raises(SceneError, match=rf"meta\.json: .*{reason}"):
+    with pytest.raises(InputError, match=rf"meta\.json: .*{reason}"):
         load(tmp_path)
 
 
@@ -185,20 +185,20 @@ def test_labels_beyond_the_palette(tmp_path: Path) -> None:
     Image.fromarray(np.full((2, 4, 4), 200, np.uint8)).save(
         tmp_path / "labels.webp", lossless=True, exact=True
     )
-    with pytest.raises(SceneError, match="label 51400, but 128 centroids"):
+    with pytest.raises(InputError, match="label 51400, but 128 centroids"):
         load(tmp_path)
 
 
 @pytest.mark.parametrize("text", ["{", "[]", "3", "\udcff", "[" * 100_000])
 def test_broken_json(tmp_path: Path, text: str) -> None:
     (tmp_path / "meta.json").write_bytes(text.encode("utf-8", "surrogateescape"))
-    with pytest.raises(SceneError, match=r"meta\.json: "):
+    with pytest.raises(InputError, match=r"meta\.json: "):
         load(tmp_path)
 
 
 def test_broken_zip(tmp_path: Path) -> None:
     (tmp_path / "a.sog").write_bytes(b"PK\x03\x04 and nothing more")
-    with pytest.raises(SceneError, match=r"a\.sog: broken or truncated zip"):
+    with pytest.raises(InputError, match=r"a\.sog: broken or truncated zip"):
         load(tmp_path / "a.sog")
 
 
@@ -211,16 +211,16 @@ def test_damaged_and_huge_files_in_a_zip(tmp_path: Path) -> None:
         place = bundle.getinfo("meta.json").header_offset + 30 + len("meta.json")
     whole = path.read_bytes()
     path.write_bytes(whole[:place] + b"\xff\xff" + whole[place + 2 :])
-    with pytest.raises(SceneError, match=r"a\.sog: can't read 'meta\.json': .*decompressing"):
+    with pytest.raises(InputError, match=r"a\.sog: can't read 'meta\.json': .*decompressing"):
         load(path)
     for method in (zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2):
         with zipfile.ZipFile(path, "w", method) as bundle:
             bundle.write(tmp_path / "a" / "meta.json", "meta.json")
-        with pytest.raises(SceneError, match=r"can't read 'meta\.json': compression method"):
+        with pytest.raises(InputError, match=r"can't read 'meta\.json': compression method"):
             load(path)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as bundle:
         bundle.writestr("meta.json", b" " * (1 << 25))  # a bomb
-    with pytest.raises(SceneError, match=r"can't read 'meta\.json': 33,554,432 bytes, in 32,"):
+    with pytest.raises(InputError, match=r"can't read 'meta\.json': 33,554,432 bytes, in 32,"):
         load(path)
 
 
@@ -228,7 +228,7 @@ def test_pictures_far_larger_than_the_scene(tmp_path: Path) -> None:
     write_scene(tmp_path)
     Image.new("RGBA", (4096, 4096)).save(tmp_path / "scales.webp", lossless=True)
     assert (tmp_path / "scales.webp").stat().st_size < 10_000
-    with pytest.raises(SceneError, match=r"scales\.webp holds 16,777,216 pixels for 6 splats"):
+    with pytest.raises(InputError, match=r"scales\.webp holds 16,777,216 pixels for 6 splats"):
         load(tmp_path)
 
 
@@ -296,11 +296,11 @@ def test_small_scenes_are_written(
 
 
 def test_a_streamed_scene_without_its_files(scene: Callable[[str], Path], tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"0_0/meta\.json: can't read"):
+    with pytest.raises(InputError, match=r"0_0/meta\.json: can't read"):
         load(scene("playbot") / "lod-meta.json")
     for text in ("{", "[]", '{"lodLevels": 3}', '{"lodLevels": "x", "filenames": []}', "[" * 10**5):
         (tmp_path / "lod-meta.json").write_text(text)
-        with pytest.raises(SceneError, match=r"lod-meta\.json: broken"):
+        with pytest.raises(InputError, match=r"lod-meta\.json: broken"):
             load(tmp_path)
 
 
@@ -328,7 +328,7 @@ def test_no_scene_at_all(tmp_path: Path) -> None:
         ("none", "No such file"),
         (".", "not a scene"),
     ]:
-        with pytest.raises(SceneError, match=reason):
+        with pytest.raises(InputError, match=reason):
             load(tmp_path / path)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rosplat_core.formats import SceneError, axes, load, save
+from rosplat_core.formats import InputError, axes, load, save
 from rosplat_core.splats import Splats
 
 
@@ -51,7 +51,7 @@ def test_round_trip(random_splats: Callable[..., Splats], tmp_path: Path) -> Non
 @pytest.mark.parametrize("size", [1, 33, 63])
 def test_parts_of_a_splat_are_refused(tmp_path: Path, size: int) -> None:
     (tmp_path / "a.splat").write_bytes(bytes(size))
-    with pytest.raises(SceneError, match=rf"a\.splat: {size} bytes are no whole number of splats"):
+    with pytest.raises(InputError, match=rf"a\.splat: {size} bytes are no whole number of splats"):
         load(tmp_path / "a.splat")
 
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rosplat_core import formats
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 Params = dict[str, NDArray[Any]]
 
@@ -47,7 +47,7 @@ def test_other_archives_are_named(params: Params, tmp_path: Path) -> None:
 
     def refused(match: str, **changes: NDArray[Any]) -> None:
         np.savez(path, **(params | changes))
-        with pytest.raises(SceneError, match=rf"params\.npz: {match}"):
+        with pytest.raises(InputError, match=rf"params\.npz: {match}"):
             formats.load(path)
 
     refused("arrays of different lengths", means3D=params["means3D"][1:])
@@ -58,15 +58,15 @@ def test_other_archives_are_named(params: Params, tmp_path: Path) -> None:
     damaged = bytearray(path.read_bytes())
     damaged[26:28] = b"\xff\x02"  # a name of 767 bytes, which zipfile quotes
     path.write_bytes(damaged)
-    with pytest.raises(SceneError, match=r"params\.npz: damaged: .{1,200}$"):
+    with pytest.raises(InputError, match=r"params\.npz: damaged: .{1,200}$"):
         formats.load(path)
     np.savez(path, **params)
     encrypted = bytearray(path.read_bytes())
     for head, flags in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
         encrypted[encrypted.find(head) + flags] |= 1
     path.write_bytes(encrypted)
-    with pytest.raises(SceneError, match=r"params\.npz: can't be unpacked: .*encrypted"):
+    with pytest.raises(InputError, match=r"params\.npz: can't be unpacked: .*encrypted"):
         formats.load(path)
     np.savez(path, means3D=params["means3D"])
-    with pytest.raises(SceneError, match="no array rgb_colors"):
+    with pytest.raises(InputError, match="no array rgb_colors"):
         formats.load(path)

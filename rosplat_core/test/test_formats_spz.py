@@ -13,7 +13,7 @@ import pytest
 import zstandard
 from numpy.typing import NDArray
 
-from rosplat_core.formats import SceneError, axes, load, save
+from rosplat_core.formats import InputError, axes, load, save
 from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 
@@ -119,7 +119,7 @@ def test_broken_streams(
 ) -> None:
     data = edit(packed(random_splats(10), 3))
     (tmp_path / "broken.spz").write_bytes(gzip.compress(data))
-    with pytest.raises(SceneError, match=rf"broken\.spz: .*{reason}"):
+    with pytest.raises(InputError, match=rf"broken\.spz: .*{reason}"):
         load(tmp_path / "broken.spz")
 
 
@@ -129,7 +129,7 @@ def test_truncated_and_damaged_gzip(random_splats: Callable[..., Splats], tmp_pa
     wrong_sum = whole[:-8] + bytes(4) + whole[-4:]
     for data in (whole[: len(whole) // 2], whole[:12], damaged, wrong_sum, whole[:-8]):
         (tmp_path / "broken.spz").write_bytes(data)
-        with pytest.raises(SceneError, match=r"broken\.spz: "):
+        with pytest.raises(InputError, match=r"broken\.spz: "):
             load(tmp_path / "broken.spz")
 
 
@@ -182,7 +182,7 @@ def test_wide_scenes_get_fewer_fractional_bits(
     back = load(tmp_path / "a.spz")
     difference = back.positions + back.origin - (written.positions + written.origin)
     assert np.abs(difference).max() < 1 / 2**7
-    with pytest.raises(SceneError, match=r"b\.spz: a splat 9,000,00\d m from the origin"):
+    with pytest.raises(InputError, match=r"b\.spz: a splat 9,000,00\d m from the origin"):
         save(tmp_path / "b.spz", replace(splats, origin=np.array([9e6, 0, 0])))
     assert not (tmp_path / "b.spz").exists()
 
@@ -216,7 +216,7 @@ def test_axes_follow_the_extension(random_splats: Callable[..., Splats], tmp_pat
         assert axes(tmp_path / "a.spz").up == up
         assert len(load(tmp_path / "a.spz")) == 3
     (tmp_path / "a.spz").write_bytes(packed_4(splats, struct.pack("<III", 0xADBE0003, 4, 17)))
-    with pytest.raises(SceneError, match="coordinate system 17"):
+    with pytest.raises(InputError, match="coordinate system 17"):
         axes(tmp_path / "a.spz")
 
 
@@ -243,7 +243,7 @@ def test_damaged_version_4(
     data = bytearray(packed_4(random_splats(10)))
     struct.pack_into(form, data, place, value)
     (tmp_path / "a.spz").write_bytes(data)
-    with pytest.raises(SceneError, match=rf"a\.spz: .*{reason}"):
+    with pytest.raises(InputError, match=rf"a\.spz: .*{reason}"):
         load(tmp_path / "a.spz")
 
 
@@ -253,7 +253,7 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
     (tmp_path / "b.spz").write_bytes(gzip.compress(header[:8] + bytes(8 + (1 << 25)), 9))
     tracemalloc.start()
     for name, reason in (("a", "can't be packed in 16,"), ("b", "16,777,216 bytes behind")):
-        with pytest.raises(SceneError, match=reason):
+        with pytest.raises(InputError, match=reason):
             load(tmp_path / f"{name}.spz")
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()

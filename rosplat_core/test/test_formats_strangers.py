@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rosplat_core.formats import SceneError, load, save
+from rosplat_core.formats import InputError, load, save
 from rosplat_core.splats import Splats
 
 POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 123\n"
@@ -25,7 +25,7 @@ POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 123\n"
 )
 def test_what_a_download_got_instead(tmp_path: Path, ending: str, text: str, reason: str) -> None:
     (tmp_path / f"a{ending}").write_text(text)
-    with pytest.raises(SceneError, match=reason):
+    with pytest.raises(InputError, match=reason):
         load(tmp_path / f"a{ending}")
 
 
@@ -56,5 +56,5 @@ def test_archives_are_named(random_splats: Callable[..., Splats], tmp_path: Path
         ("cut.zip", "a zip that is cut short"),
         ("a.json", "JSON"),
     ):
-        with pytest.raises(SceneError, match=rf"{name}: {reason}"):
+        with pytest.raises(InputError, match=rf"{name}: {reason}"):
             load(tmp_path / name)

@@ -15,7 +15,7 @@ from streamed_scene import ABOVE, APART, ENVIRONMENT, LEVELS, edited, garden, wr
 from rosplat_core import formats
 from rosplat_core.formats import sog
 from rosplat_core.formats.streamed_sog import FileRange, Pieces, open_streamed
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_the_environment_is_a_chunk_as_large_as_the_scene(tmp_path: Path) -> Non
     assert splats.positions[:, 2].min() > ABOVE / 2
     assert streamed.splats == 4 * LEVELS[0] + ENVIRONMENT
     shutil.rmtree(tmp_path / "env")
-    with pytest.raises(SceneError, match=r"env/meta\.json: can't read"):
+    with pytest.raises(InputError, match=r"env/meta\.json: can't read"):
         open_streamed(tmp_path)
 
 
@@ -149,7 +149,7 @@ def changed(**changes: Any) -> dict[str, Any]:
 )
 def test_a_meta_that_lies(scene: Path, changes: dict[str, Any], reason: str) -> None:
     edited(scene, **changes)
-    with pytest.raises(SceneError, match=reason):
+    with pytest.raises(InputError, match=reason):
         open_streamed(scene)
 
 
@@ -182,7 +182,7 @@ def test_any_field_may_be_anything(made: Path, data: st.DataObject) -> None:
     path.write_text(json.dumps(meta))
     try:
         scene = open_streamed(path)
-    except SceneError as error:
+    except InputError as error:
         assert made.parent.name in str(error)
     else:
         assert scene.splats > 0
@@ -193,14 +193,14 @@ def test_a_tree_without_end(scene: Path) -> None:
     for _ in range(70):
         tree = {"children": [tree]}
     edited(scene, tree=tree)
-    with pytest.raises(SceneError, match="tree: deeper than 64"):
+    with pytest.raises(InputError, match="tree: deeper than 64"):
         open_streamed(scene)
 
 
 def test_files_that_are_filtered_differently(scene: Path) -> None:
     meta = scene.parent / "0_0" / "meta.json"
     meta.write_text(json.dumps(json.loads(meta.read_text()) | {"antialias": True}))
-    with pytest.raises(SceneError, match="several models: ewa, ewa_antialiased"):
+    with pytest.raises(InputError, match="several models: ewa, ewa_antialiased"):
         open_streamed(scene)
 
 
@@ -209,18 +209,18 @@ def test_files_that_are_missing_cut_or_lie(scene: Path) -> None:
     coarse, _, fine = streamed.chunks[0].levels
     picture = scene.parent / "0_0" / "means_l.webp"
     picture.write_bytes(picture.read_bytes()[:100])
-    with pytest.raises(SceneError, match=r"0_0/meta.json: means_l.webp is"):
+    with pytest.raises(InputError, match=r"0_0/meta.json: means_l.webp is"):
         Pieces(streamed, pytest.fail).read(fine)
     assert len(Pieces(streamed, pytest.fail).read(coarse)) == coarse.count
     meta = scene.parent / "1_0" / "meta.json"
     meta.write_text(json.dumps(json.loads(meta.read_text()) | {"count": 5}))
-    with pytest.raises(SceneError, match=r"1_0/meta.json: holds 5 splats, lod-meta.json wants 2,8"):
+    with pytest.raises(InputError, match=r"1_0/meta.json: holds 5 splats, lod-meta.json wants 2,8"):
         open_streamed(scene)
     meta.unlink()
-    with pytest.raises(SceneError, match=r"1_0/meta\.json: can't read"):
+    with pytest.raises(InputError, match=r"1_0/meta\.json: can't read"):
         open_streamed(scene)
     scene.write_bytes(scene.read_bytes()[:200])
-    with pytest.raises(SceneError, match=r"lod-meta\.json: broken"):
+    with pytest.raises(InputError, match=r"lod-meta\.json: broken"):
         open_streamed(scene)
-    with pytest.raises(SceneError, match=r"nowhere.*: No such file"):
+    with pytest.raises(InputError, match=r"nowhere.*: No such file"):
         open_streamed(scene.parent / "nowhere")

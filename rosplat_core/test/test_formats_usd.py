@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rosplat_core.formats import SceneError, axes, load, save
+from rosplat_core.formats import InputError, axes, load, save
 from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 
@@ -205,7 +205,7 @@ def test_what_is_drawn_in_another_way_is_told(tmp_path: Path) -> None:
 )
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, reason: str) -> None:
     (tmp_path / "a.usda").write_bytes(text.encode(errors="surrogateescape"))
-    with pytest.raises(SceneError, match=rf"a\.usda: .*{reason}") as error:
+    with pytest.raises(InputError, match=rf"a\.usda: .*{reason}") as error:
         load(tmp_path / "a.usda")
     assert len(str(error.value)) < 1000
 
@@ -220,7 +220,7 @@ def test_a_claim_ends_usd_core_alone(tmp_path: Path) -> None:
     prim.CreateAttribute("opacities", Sdf.ValueTypeNames.FloatArray, False).Set(zeros)
     stage.Save()
     assert (tmp_path / "a.usdc").stat().st_size < 100_000
-    with pytest.raises(SceneError, match=r"a\.usdc: .*(claims more memory|unpacking)"):
+    with pytest.raises(InputError, match=r"a\.usdc: .*(claims more memory|unpacking)"):
         load(tmp_path / "a.usdc")
 
 
@@ -284,7 +284,7 @@ def test_a_package_is_not_left(tmp_path: Path) -> None:
         ("splats.usda", "names another file"),
     ):
         root = f'{ROOT}def "World" (references = @{asset}@) {{}}\n'
-        with pytest.raises(SceneError, match=reason):
+        with pytest.raises(InputError, match=reason):
             load(packaged(tmp_path / "a.usdz", {"default.usda": root}))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rosplat_core.formats import SceneError, axes, check_output, load, save, usd
+from rosplat_core.formats import InputError, axes, check_output, load, save, usd
 from rosplat_core.splats import Splats
 
 
@@ -23,11 +23,11 @@ def test_without_usd_core_it_is_named(
         (tmp_path / f"a{ending}").write_bytes(begin)
         if usd.recognises(tmp_path / f"a{ending}", begin):
             for read in (load, axes):
-                with pytest.raises(SceneError, match=rf"a{ending}: .*pip install usd-core"):
+                with pytest.raises(InputError, match=rf"a{ending}: .*pip install usd-core"):
                     read(tmp_path / f"a{ending}")
-    with pytest.raises(SceneError, match=rf"b{ending}: .*pip install usd-core"):
+    with pytest.raises(InputError, match=rf"b{ending}: .*pip install usd-core"):
         save(tmp_path / f"b{ending}", random_splats(3))
-    with pytest.raises(SceneError, match="pip install usd-core"):
+    with pytest.raises(InputError, match="pip install usd-core"):
         check_output(tmp_path / f"b{ending}")
     assert not (tmp_path / f"b{ending}").exists()
 

@@ -24,7 +24,7 @@ from rosplat_core.occupancy import (
     voxels_across,
 )
 from rosplat_core.rendering import MAP, insert_all
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 
 PAGE = 1024
 RESOLUTION = 0.1
@@ -295,7 +295,7 @@ def test_a_grid_is_written_as_map_server_reads_it(tmp_path: Path) -> None:
     read[shades > float(values["occupied_thresh"])] = OCCUPIED
     read[shades < float(values["free_thresh"])] = FREE
     assert np.array_equal(read, cells)
-    with pytest.raises(SceneError, match=re.escape("flat.pgm: expected a name that ends in .yaml")):
+    with pytest.raises(InputError, match=re.escape("flat.pgm: expected a name that ends in .yaml")):
         save_grid(tmp_path / "flat.pgm", Grid(cells, (0.0, 0.0), 0.05))
 
 
@@ -308,7 +308,7 @@ def test_an_odd_name_of_a_grid_is_read_back(tmp_path: Path) -> None:
 
 def test_a_cube_of_too_many_voxels_is_refused() -> None:
     assert voxels_across(1.0, 0.3) == 4
-    with pytest.raises(SceneError, match=r"size 1000 m at resolution .* 20,000 voxels"):
+    with pytest.raises(InputError, match=r"size 1000 m at resolution .* 20,000 voxels"):
         voxels_across(1000.0, 0.05)
     with pytest.raises(ValueError, match="voxels of more than 0 m"):
         OccupancyMap(0.0, 64)

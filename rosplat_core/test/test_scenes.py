@@ -8,7 +8,7 @@ import pytest
 
 from rosplat_core import formats, scenes
 from rosplat_core.generated import generate
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 
 
 def load(name: str) -> Splats:
@@ -26,7 +26,7 @@ def test_count_and_seed_are_in_the_name() -> None:
 
 @pytest.mark.parametrize("count", ["", "many", "-3", "0", "3:", "3:4:5", "33554433", "9" * 5000])
 def test_a_count_that_makes_no_sense(count: str) -> None:
-    with pytest.raises(SceneError, match=f"^procedural:{count}: "):
+    with pytest.raises(InputError, match=f"^procedural:{count}: "):
         load(f"procedural:{count}")
 
 
@@ -36,16 +36,16 @@ def test_a_file_of_more_splats_than_a_map_holds(
     path = tmp_path / "scene.ply"
     formats.save(path, generate(11))
     monkeypatch.setattr(scenes, "MAX_SLOTS", 10)
-    with pytest.raises(SceneError, match="11 splats; a map has at most 10"):
+    with pytest.raises(InputError, match="11 splats; a map has at most 10"):
         load(str(path))
 
 
 def test_what_is_no_scene_is_told_before_other_work(tmp_path: Path) -> None:
     (tmp_path / "text.ply").write_text("hello\n")
     for name, why in (("none.ply", "No such file"), ("text.ply", "not a scene"), ("\0", "no name")):
-        with pytest.raises(SceneError, match=why):
+        with pytest.raises(InputError, match=why):
             scenes.check_scene(str(tmp_path / name))
-    with pytest.raises(SceneError, match="no scene is named"):  # else the folder one is in
+    with pytest.raises(InputError, match="no scene is named"):  # else the folder one is in
         scenes.check_scene("")
     scenes.check_scene("procedural:7")
 
@@ -55,7 +55,7 @@ def test_a_scene_without_a_usable_splat(tmp_path: Path) -> None:
     splats.opacities[:] = np.nan
     for name, empty in (("no.ply", splats[:0]), ("nan.ply", splats)):
         formats.save(tmp_path / name, empty)
-        with pytest.raises(SceneError, match=f"{name}: holds no splats"):
+        with pytest.raises(InputError, match=f"{name}: holds no splats"):
             load(str(tmp_path / name))
         assert len(scenes.read_scene(str(tmp_path / name), lambda _: None, lambda _: None)) == 0
 
@@ -76,7 +76,7 @@ def test_up_follows_the_format_where_it_has_one(tmp_path: Path) -> None:
         formats.save(tmp_path / f"a{ending}", replace(generate(3), up=None))
         assert load(str(tmp_path / f"a{ending}")).up == up
     assert load("procedural:3").up == load("rooms:3").up == (0, 0, 1)
-    with pytest.raises(SceneError, match="No such file"):
+    with pytest.raises(InputError, match="No such file"):
         formats.axes(str(tmp_path / "none.spz"))
 
 
@@ -85,8 +85,8 @@ def test_too_little_memory_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         raise MemoryError
 
     monkeypatch.setattr(scenes, "generate_into", full)
-    with pytest.raises(SceneError, match="procedural:7: too large for this machine's memory"):
+    with pytest.raises(InputError, match="procedural:7: too large for this machine's memory"):
         load("procedural:7")
     monkeypatch.setattr(formats.ply, "write", full)
-    with pytest.raises(SceneError, match="too large for this machine's memory"):
+    with pytest.raises(InputError, match="too large for this machine's memory"):
         formats.save(tmp_path / "scene.ply", generate(3))

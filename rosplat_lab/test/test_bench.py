@@ -15,7 +15,7 @@ from rosplat_core.depth import order
 from rosplat_core.formats import save as save_scene
 from rosplat_core.generated import generate
 from rosplat_core.ordering import view_of
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_lab.bench import baselines, rviz, scenes, sort, streaming
 from rosplat_lab.bench.command import main
 from rosplat_lab.bench.isolation import isolated
@@ -317,7 +317,7 @@ def test_isolated_work_runs_elsewhere_and_its_end_is_told(
 def test_a_list_of_displays_is_refused_with_its_file(tmp_path: Path, text: str, why: str) -> None:
     file = tmp_path / "displays.yaml"
     file.write_text(text)
-    with pytest.raises(SceneError, match=f"displays.yaml: .*{why}"):
+    with pytest.raises(InputError, match=f"displays.yaml: .*{why}"):
         rviz.read_displays(file)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from rosplat_core.cameras import Camera
 from rosplat_core.rendering import MOST_PSNR
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_lab.render.command import check, write_picture, write_report
 
 
@@ -49,6 +49,6 @@ def test_a_picture_that_is_too_small_to_compare_is_refused_before_drawing(tmp_pa
         cv2.imwrite(str(tmp_path / f"{camera.height}.png"), np.zeros((camera.height, 16), np.uint8))
     check(tmp_path / "cameras.json", cameras[:1])
     with pytest.raises(
-        SceneError, match=r"camera 1: 10\.png is 16x10, expected sides of at least 11"
+        InputError, match=r"camera 1: 10\.png is 16x10, expected sides of at least 11"
     ):
         check(tmp_path / "cameras.json", cameras)

@@ -10,7 +10,7 @@ from PIL import Image as Picture
 from sensor_msgs.msg import Image
 
 from rosplat_core.log_text import shown
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.messages import as_array
 
 # By encoding, of 8 bits a channel: number of channels, and indices of red, green and blue.
@@ -55,10 +55,10 @@ def from_image(image: Image) -> NDArray[np.uint8]:
 
 
 def read_mask(path: str) -> NDArray[np.bool_]:
-    """(height, width) true where a picture file isn't black. Raises SceneError, naming the file."""
+    """(height, width) true where a picture file isn't black. Raises InputError, naming the file."""
     try:
         with Picture.open(Path(path)) as picture:
             return np.asarray(picture.convert("L")) > 0
     except (OSError, SyntaxError, ValueError, Picture.DecompressionBombError) as error:
         reason = getattr(error, "strerror", None) or "no picture, or too large a one"
-        raise SceneError(f"mask {shown(path)}: {reason}") from error
+        raise InputError(f"mask {shown(path)}: {reason}") from error

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image as Picture
 from sensor_msgs.msg import Image
 
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.images import from_image, read_mask, to_bytes, to_image
 
 PIXELS = np.random.default_rng(0).integers(0, 256, (3, 5, 3), dtype=np.uint8)
@@ -71,5 +71,5 @@ def test_a_mask_is_what_is_not_black(tmp_path: Path) -> None:
 def test_a_mask_that_is_too_large_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Picture.new("L", (5, 5)).save(tmp_path / "mask.png")
     monkeypatch.setattr(Picture, "MAX_IMAGE_PIXELS", 12)
-    with pytest.raises(SceneError, match=r"mask\.png: no picture, or too large a one"):
+    with pytest.raises(InputError, match=r"mask\.png: no picture, or too large a one"):
         read_mask(str(tmp_path / "mask.png"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import rclpy
 from rclpy.node import Node
 
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.program.parameter_help import declared_by, described
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import spinning
@@ -40,7 +40,7 @@ def test_all_that_a_node_declares_is_described() -> None:
 def test_a_node_that_its_defaults_end_is_described_up_to_there() -> None:
     def body() -> None:
         Wheel()
-        raise SceneError("no road is named")
+        raise InputError("no road is named")
 
     declared = declared_by(body)
     assert list(declared)[-4:] == ["radius", "spokes", "frame_id", "turns"]

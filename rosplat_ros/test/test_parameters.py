@@ -4,7 +4,7 @@ import pytest
 import rclpy
 from rclpy.parameter import Parameter
 
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.program.parameters import declare
 
 
@@ -17,7 +17,7 @@ def test_a_whole_number_is_a_rate(given: float, value: float) -> None:
     try:
         rate = declare(node, "rate", 1.0, "Pictures a second. [Hz]", 0.1, 100.0)
         assert (rate, type(rate)) == (value, float)
-        with pytest.raises(SceneError, match="range" if given == 10 else "type"):
+        with pytest.raises(InputError, match="range" if given == 10 else "type"):
             declare(node, "depth", 1, "Whole, and small.", 1, 5)
     finally:
         node.destroy_node()

@@ -10,14 +10,14 @@ from typing import Any
 from rclpy.serialization import deserialize_message
 
 from rosplat_core.log_text import shown
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 Read = Callable[[Collection[str]], Iterator[tuple[str, bytes]]]
 """Yields topics and serialized messages of the topics that it is given."""
 
 
 def topics(path: str) -> dict[str, str]:
-    """Types, as "sensor_msgs/msg/Image", by topic. Raises SceneError, naming the bag."""
+    """Types, as "sensor_msgs/msg/Image", by topic. Raises InputError, naming the bag."""
     with _opened(path) as (found, _):
         return found
 
@@ -25,7 +25,7 @@ def topics(path: str) -> dict[str, str]:
 def messages(path: str, kinds: Mapping[str, type]) -> Iterator[tuple[str, Any]]:
     """Topics and their messages in the order in which they were recorded.
 
-    kinds: the class of each topic that is read. Raises SceneError, naming the bag.
+    kinds: the class of each topic that is read. Raises InputError, naming the bag.
     """
     with _opened(path) as (_, read):
         for topic, data in read(kinds):
@@ -35,7 +35,7 @@ def messages(path: str, kinds: Mapping[str, type]) -> Iterator[tuple[str, Any]]:
 @contextmanager
 def _opened(path: str) -> Iterator[tuple[dict[str, str], Read]]:
     if not Path(path).exists():
-        raise SceneError(f"{shown(path)}: No such file or directory")
+        raise InputError(f"{shown(path)}: No such file or directory")
     try:
         import rosbag2_py
     except ImportError:
@@ -54,7 +54,7 @@ def _opened(path: str) -> Iterator[tuple[dict[str, str], Read]]:
         reader.open(rosbag2_py.StorageOptions(path), rosbag2_py.ConverterOptions("", ""))
         yield {each.name: each.type for each in reader.get_all_topics_and_types()}, read
     except RuntimeError as error:
-        raise SceneError(f"{shown(path)}: no whole bag: {shown(error, 300)}") from error
+        raise InputError(f"{shown(path)}: no whole bag: {shown(error, 300)}") from error
 
 
 @contextmanager
@@ -62,7 +62,7 @@ def _opened_by_rosbags(path: str) -> Iterator[tuple[dict[str, str], Read]]:
     try:
         from rosbags.rosbag2 import Reader, ReaderError
     except ImportError as error:
-        raise SceneError(
+        raise InputError(
             f"{shown(path)}: to read bags, install rosbag2_py (of ROS 2) or rosbags (of PyPI)"
         ) from error
     try:
@@ -75,4 +75,4 @@ def _opened_by_rosbags(path: str) -> Iterator[tuple[dict[str, str], Read]]:
 
             yield {each.topic: each.msgtype for each in reader.connections}, read
     except (ReaderError, OSError, RuntimeError) as error:
-        raise SceneError(f"{shown(path)}: no whole bag: {shown(error, 300)}") from error
+        raise InputError(f"{shown(path)}: no whole bag: {shown(error, 300)}") from error

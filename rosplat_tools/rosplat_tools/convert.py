@@ -19,7 +19,7 @@ from rosplat_core.distances import DistanceField
 from rosplat_core.first_look import cameras_beside, sample
 from rosplat_core.formats import (
     SUFFIXES,
-    SceneError,
+    InputError,
     axes,
     check_new_file,
     check_output,
@@ -111,7 +111,7 @@ def main(arguments: list[str] | None = None) -> int:
             back = load(options.output, progress, warn)
         read_as = axes(options.output)
         errors = report(written, back)
-    except (SceneError, MemoryError) as error:
+    except (InputError, MemoryError) as error:
         print(f"convert: {told(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
@@ -125,7 +125,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _write_shape(options: argparse.Namespace, warn: Callable[[str], None]) -> str:
-    """Writes the shape of the upright scene; returns what was written. Raises SceneError."""
+    """Writes the shape of the upright scene; returns what was written. Raises InputError."""
     check_new_file(options.output, options.overwrite)
     with watched("reading") as progress:
         splats = _cut(load_scene(options.input, progress, warn), options)
@@ -147,31 +147,31 @@ def _write_shape(options: argparse.Namespace, warn: Callable[[str], None]) -> st
 
 
 def _cut(splats: Splats, options: argparse.Namespace) -> Splats:
-    """The splats that --box and --where ask for. Raises SceneError."""
+    """The splats that --box and --where ask for. Raises InputError."""
     kept = np.ones(len(splats), bool)
     if options.box:
         corners = np.reshape(options.box, (2, 3))
         if not np.isfinite(corners).all():
-            raise SceneError("--box: expected finite numbers")
+            raise InputError("--box: expected finite numbers")
         places = splats.positions.astype(np.float64) + splats.origin
         kept &= ((places >= corners.min(axis=0)) & (places <= corners.max(axis=0))).all(axis=1)
     if options.where:
         name, _, value = options.where.partition("=")
         if name not in splats.channels:
             known = ", ".join(splats.channels) or "none"
-            raise SceneError(
+            raise InputError(
                 f"--where: {shown(options.input)} has no channel {shown(name)}: {known}"
             )
         try:
             kept &= splats.channels[name] == np.float32(float(value))
         except ValueError as error:
-            raise SceneError(f"--where: expected {shown(name)}=NUMBER") from error
+            raise InputError(f"--where: expected {shown(name)}=NUMBER") from error
     if options.rest:
         if not (options.box or options.where):
-            raise SceneError("--rest: of what? It needs --box or --where")
+            raise InputError("--rest: of what? It needs --box or --where")
         kept = ~kept
     if not kept.any():
-        raise SceneError(f"{shown(options.input)}: no splat is left")
+        raise InputError(f"{shown(options.input)}: no splat is left")
     return splats if kept.all() else splats[kept]
 
 

@@ -10,7 +10,7 @@ from std_msgs.msg import Header
 from rosplat_core.first_look import FirstView as View
 from rosplat_core.first_look import cameras_beside, first_view, sample
 from rosplat_core.log_text import shown
-from rosplat_core.splats import PackedSplats, SceneError, Splats
+from rosplat_core.splats import InputError, PackedSplats, Splats
 from rosplat_core.upright import find_up, standing_pose
 from rosplat_msgs.msg import FirstView
 from rosplat_ros.first_views import first_view_message
@@ -26,7 +26,7 @@ class FirstViews:
     """Finds and publishes where a node's scenes are first looked at from, and which way is up."""
 
     def __init__(self, node: Node, frame_id: str) -> None:
-        """Declares `up` and `upright_frame`. Raises SceneError for an `up` that is no direction."""
+        """Declares `up` and `upright_frame`. Raises InputError for an `up` that is no direction."""
         self._node, self._frame_id = node, frame_id
         self._given = _direction(
             declare(
@@ -40,7 +40,7 @@ class FirstViews:
             "to frame_id is published; empty: none is.",
         )  # fmt: skip
         if self._upright_frame and TFMessage is None:
-            raise SceneError("parameter upright_frame: tf2_msgs is not installed")
+            raise InputError("parameter upright_frame: tf2_msgs is not installed")
         topic = node.resolve_topic_name("gaussians")  # remapping it remaps the view
         self._views = node.create_publisher(
             FirstView, f"{topic}/first_view", **overridable(FIRST_VIEW)
@@ -87,7 +87,7 @@ class FirstViews:
 
 
 def _direction(text: str) -> NDArray[np.float64] | None:
-    """A unit vector as a user writes it; None for an empty text. Raises SceneError."""
+    """A unit vector as a user writes it; None for an empty text. Raises InputError."""
     if not text.strip():
         return None
     try:
@@ -96,5 +96,5 @@ def _direction(text: str) -> NDArray[np.float64] | None:
     except ValueError:
         numbers, length = np.zeros(0), np.float64(0)
     if len(numbers) != 3 or not 0 < length < np.inf:
-        raise SceneError(f"parameter up: expected a direction such as 0 -1 0, got '{shown(text)}'")
+        raise InputError(f"parameter up: expected a direction such as 0 -1 0, got '{shown(text)}'")
     return np.asarray(numbers / length)

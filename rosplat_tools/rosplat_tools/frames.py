@@ -15,7 +15,7 @@ from rclpy.time import Time
 from std_msgs.msg import Header
 
 from rosplat_core.log_text import shown
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.messages import plain_frame
 from rosplat_ros.poses import to_matrix, to_pose
 
@@ -64,9 +64,9 @@ class Frames:
     """Poses of frames, from a node's TF or from take()."""
 
     def __init__(self, node: Node | None = None, keeps: float = KEEPS) -> None:
-        """keeps: how far back [s]. Raises SceneError where there is no TF."""
+        """keeps: how far back [s]. Raises InputError where there is no TF."""
         if tf2_ros is None:
-            raise SceneError("tf2_ros is not installed")
+            raise InputError("tf2_ros is not installed")
         self._buffer = tf2_ros.Buffer(Duration(seconds=keeps))
         self._node = node
         if node:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from rosplat_core.formats import SUFFIXES, SceneError, check_output, save
+from rosplat_core.formats import SUFFIXES, InputError, check_output, save
 from rosplat_core.generated import SCENES, generate
 from rosplat_core.log_text import shown
 from rosplat_core.program.output import say, told
@@ -44,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
                 options.count, options.seed, options.sh_degree, progress, options.scene
             )
         save(options.output, splats, overwrite=options.overwrite)
-    except (SceneError, MemoryError) as error:
+    except (InputError, MemoryError) as error:
         print(f"generate: {told(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

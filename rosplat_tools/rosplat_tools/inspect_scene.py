@@ -10,7 +10,7 @@ import numpy as np
 
 from rosplat_core.cameras import UP, orbit, place
 from rosplat_core.depth import LEAST_ALPHA
-from rosplat_core.formats import SceneError, axes, format_of, gltf, scene_file, streamed_sog
+from rosplat_core.formats import InputError, axes, format_of, gltf, scene_file, streamed_sog
 from rosplat_core.log_text import shown
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
@@ -24,7 +24,7 @@ QUANTILES = (0.0, 0.01, 0.5, 0.99, 1.0)
 
 
 def describe(path: str | Path) -> str:
-    """A report of several lines on a scene. Raises SceneError when it can't be read."""
+    """A report of several lines on a scene. Raises InputError when it can't be read."""
     left_out: list[str] = []
     with watched("reading") as progress:
         splats = read_scene(str(path), progress, left_out.append)
@@ -135,7 +135,7 @@ def main(arguments: list[str] | None = None) -> int:
     for index, path in enumerate(parser.parse_args(arguments).scene):
         try:
             say(("\n" if index else "") + describe(path))
-        except (SceneError, MemoryError) as error:
+        except (InputError, MemoryError) as error:
             print(f"inspect: {told(error)}", file=sys.stderr)
             failed = True
         except KeyboardInterrupt:

@@ -17,7 +17,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.program.output import told
 from rosplat_core.program.progress import bar
 from rosplat_core.scenes import NAMES, is_generated, load_scene_into
-from rosplat_core.splats import LONGEST_ERROR, PackedSplats, SceneError
+from rosplat_core.splats import LONGEST_ERROR, InputError, PackedSplats
 from rosplat_msgs.srv import LoadScene, SaveMap
 from rosplat_ros.map_publisher import MapPublisher
 from rosplat_ros.program.files_below import check_below
@@ -76,7 +76,7 @@ class PlyPublisher(Node):
     def load(self, path: str, root: str = "/") -> str:
         """Makes a scene below the folder root, at any depth, the map; returns a line about it.
 
-        A later call cancels one that is still reading, at once. Raises SceneError or Cancelled:
+        A later call cancels one that is still reading, at once. Raises InputError or Cancelled:
         the map stays.
         """
         if root != "/" and not is_generated(path):
@@ -128,7 +128,7 @@ class PlyPublisher(Node):
                 self._map.replace(splats, progress=published)
             except MemoryError as error:
                 self._up = before
-                raise SceneError(f"{path}: too large for this machine's memory") from error
+                raise InputError(f"{path}: too large for this machine's memory") from error
             except BaseException:  # the map stays as it was
                 self._up = before
                 raise
@@ -174,7 +174,7 @@ class PlyPublisher(Node):
                 f"{request.path}: cancelled" if self.context.ok() else "the publisher ended"
             )
         except Exception as error:  # no file may end the node
-            response.message = str(error) if isinstance(error, SceneError) else f"{error!r}"
+            response.message = str(error) if isinstance(error, InputError) else f"{error!r}"
             self.get_logger().error(f"not loaded, the map stays: {shown(response.message, 500)}")
         response.message = shown(response.message, LONGEST_ERROR)
         response.splats = len(self._map)

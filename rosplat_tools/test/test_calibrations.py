@@ -9,7 +9,7 @@ import pytest
 from sensor_msgs.msg import CameraInfo
 
 from rosplat_core.lenses import Lens, LensError
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_tools.cameras.calibrations import lens_of, load, of_lens, rectified
 
 FILE = """image_width: 640
@@ -71,7 +71,7 @@ def test_a_file_that_is_none_names_itself_and_the_key(
     tmp_path: Path, old: str, new: str, said: str
 ) -> None:
     path = write(tmp_path, FILE.replace(old, new))
-    with pytest.raises(SceneError) as error:
+    with pytest.raises(InputError) as error:
         load(path)
     assert str(error.value).startswith(f"{path}: {said}")
     assert "\n" not in str(error.value)
@@ -151,5 +151,5 @@ def test_what_is_wrong_with_an_f_theta_camera_names_the_key(
 ) -> None:
     path = tmp_path / "camera.json"
     path.write_text(F_THETA.replace(old, new))
-    with pytest.raises(SceneError, match=said):
+    with pytest.raises(InputError, match=said):
         load(str(path))

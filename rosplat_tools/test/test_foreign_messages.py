@@ -15,7 +15,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 
 from rosplat_core.models import Model
-from rosplat_core.splats import SceneError, Splats, concatenate
+from rosplat_core.splats import InputError, Splats, concatenate
 from rosplat_tools import foreign
 from rosplat_tools.foreign import (
     compact_rows,
@@ -183,7 +183,7 @@ def test_drivers_count_a_cloud_s_fields_as_they_like() -> None:
     np.testing.assert_allclose(found.positions, splats.positions, atol=1e-6)
     np.testing.assert_allclose(found.orientations, splats.orientations, atol=1e-6)
     message.fields[1].count = 50
-    with pytest.raises(SceneError, match="point_step: 68 bytes, field f_dc of 50 numbers ends"):
+    with pytest.raises(InputError, match="point_step: 68 bytes, field f_dc of 50 numbers ends"):
         read("point_cloud", [message])
 
 
@@ -201,7 +201,7 @@ def test_quaternions_by_letters_are_quaternions() -> None:
 def test_a_cloud_that_is_no_map_is_named() -> None:
     message = cloud(random_splats(10, 0))
     message.fields = message.fields[:3]
-    with pytest.raises(SceneError, match=r"/point_cloud: .*no property opacity"):
+    with pytest.raises(InputError, match=r"/point_cloud: .*no property opacity"):
         read("point_cloud", [message])
     for name, value, error in [
         ("width", 11, "data: "),
@@ -212,7 +212,7 @@ def test_a_cloud_that_is_no_map_is_named() -> None:
     ]:
         message = cloud(random_splats(10, 0))
         setattr(message, name, value)
-        with pytest.raises(SceneError, match=f"/point_cloud: {error}"):
+        with pytest.raises(InputError, match=f"/point_cloud: {error}"):
             read("point_cloud", [message])
 
 
@@ -253,7 +253,7 @@ def test_a_commit_without_all_chunks_changes_nothing() -> None:
     reader = splat_tiles.Reader("/tiles", silent)
     messages = written("splat_tiles", random_splats(300, 0))
     messages[1].chunk_count = 2
-    with pytest.raises(SceneError, match=r"/tiles: version 0 is committed, and tiles lack chunks"):
+    with pytest.raises(InputError, match=r"/tiles: version 0 is committed, and tiles lack chunks"):
         for message in messages:
             reader.take(message)
     assert len(reader.splats()) == 0
@@ -333,7 +333,7 @@ def test_what_contradicts_itself_is_named(name: str, change: dict[str, Any], err
         for step in way:
             target = target[int(step)] if step.isdigit() else getattr(target, step)
         setattr(target, last, value)
-    with pytest.raises(SceneError, match=f"/{name}: .*{error}"):
+    with pytest.raises(InputError, match=f"/{name}: .*{error}"):
         read(name, messages)
 
 

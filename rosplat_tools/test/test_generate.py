@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rosplat_core.formats import SceneError, load
+from rosplat_core.formats import InputError, load
 from rosplat_core.generated import SCENES, generate
 from rosplat_tools.generate import main
 
@@ -65,7 +65,7 @@ def test_any_part_shows_all_of_the_scene(scene: str) -> None:
     [{"count": 0}, {"count": 10**30}, {"seed": -1}, {"sh_degree": 4}, {"sh_degree": -1}],
 )
 def test_what_cannot_be_made(wrong: dict[str, int]) -> None:
-    with pytest.raises(SceneError, match="expected"):
+    with pytest.raises(InputError, match="expected"):
         generate(**({"count": 10} | wrong))
 
 

@@ -18,7 +18,7 @@ from rclpy.node import Node
 
 from rosplat_core import formats
 from rosplat_core.slot_order import put_in_slot_order
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_msgs.srv import LoadScene, PullMap, SaveMap
 from rosplat_ros.program.processes import quoted
 from rosplat_ros.program.running import spinning
@@ -269,7 +269,7 @@ def test_a_map_that_stays_keeps_its_vertical(
             raise MemoryError
 
         monkeypatch.setattr(publisher._map, "replace", fail)
-        with pytest.raises(SceneError, match="memory"):
+        with pytest.raises(InputError, match="memory"):
             publisher.load("procedural:10")
         assert publisher._up == (0, 1, 0)
         publisher.destroy_node()

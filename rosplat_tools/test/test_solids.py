@@ -12,7 +12,7 @@ import pytest
 from rosplat_core.generated import generate
 from rosplat_core.generated.rooms import Rooms
 from rosplat_core.rigid import placed
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_tools.convert import main
 from rosplat_tools.simulation import solids as module
 from rosplat_tools.simulation.robot_model import BrokenState, RobotModel, robot_file
@@ -202,7 +202,7 @@ def test_own_robots_stay_where_they_are_without_commands(name: str) -> None:
 
 def test_files_that_are_no_robots_are_named(tmp_path: Path) -> None:
     nothing = Boxes(np.zeros((0, 3)), np.zeros((0, 3)))
-    with pytest.raises(SceneError, match="robot 'no': expected arm, mobile, quadrotor, or an MJCF"):
+    with pytest.raises(InputError, match="robot 'no': expected arm, mobile, quadrotor, or an MJCF"):
         robot_file("no", ROBOTS)
     faults = {
         "no XML": "<mujoco",
@@ -213,7 +213,7 @@ def test_files_that_are_no_robots_are_named(tmp_path: Path) -> None:
     for fault, text in faults.items():
         path = tmp_path / f"{fault}.xml"
         path.write_text(text)
-        with pytest.raises(SceneError, match=f"{fault}.xml: ") as raised:
+        with pytest.raises(InputError, match=f"{fault}.xml: ") as raised:
             RobotModel(path, nothing, np.eye(4))
         assert "\n" not in str(raised.value)
 

@@ -11,7 +11,7 @@ from test_detail import camera
 
 from rosplat_core.formats.streamed_sog import open_streamed
 from rosplat_core.posed_camera import PosedCamera
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_testing.slot_map import SlotMap
 from rosplat_tools.streaming.slot_allocator import slots_for
 from rosplat_tools.streaming.streamed_map import StreamedMap
@@ -146,7 +146,7 @@ def test_a_damaged_file_is_told_once_and_done_without(tmp_path: Path) -> None:
     while more:
         try:
             more = streamed.step([before(1)])
-        except SceneError as error:
+        except InputError as error:
             told.append(str(error))
             assert len(told) < 20
     assert len(told) == 1

@@ -46,18 +46,18 @@ from rosplat_core.models import Model
 from rosplat_core.program.files import replacing
 from rosplat_core.program.progress import watched
 from rosplat_core.slot_order import space_order
-from rosplat_core.splats import LONGEST_ERROR, SceneError, Splats, check_splats
+from rosplat_core.splats import LONGEST_ERROR, InputError, Splats, check_splats
 
 __all__ = [
     "FORMATS",
     "SUFFIXES",
     "Axes",
+    "InputError",
     "Into",
     "IntoPacked",
     "IntoSplats",
     "Made",
     "Progress",
-    "SceneError",
     "Warn",
     "axes",
     "check_new_file",
@@ -98,7 +98,7 @@ HEAD = 1 << 16  # what a module may see of a file's beginning [bytes]
 
 
 def format_of(path: str | Path) -> ModuleType:
-    """The module that reads a file or folder. Raises SceneError when none does."""
+    """The module that reads a file or folder. Raises InputError when none does."""
     path = scene_file(path)
     with _told(path):
         head = b""
@@ -112,11 +112,11 @@ def format_of(path: str | Path) -> ModuleType:
                 return module
         what = what or strangers.stranger(path, head)
     if what:
-        raise SceneError(f"{path}: {what}")
+        raise InputError(f"{path}: {what}")
     if not head and path.is_file():
-        raise SceneError(f"{path}: is empty")
+        raise InputError(f"{path}: is empty")
     names = ", ".join(module.NAME for module in FORMATS)
-    raise SceneError(f"{path}: not a scene of 3D Gaussians that can be read ({names})")
+    raise InputError(f"{path}: not a scene of 3D Gaussians that can be read ({names})")
 
 
 def scene_file(path: str | Path) -> Path:
@@ -127,7 +127,7 @@ def scene_file(path: str | Path) -> Path:
 
 
 def axes(path: str | Path) -> Axes:
-    """Where the axes of a scene's coordinates point. Raises SceneError as load does."""
+    """Where the axes of a scene's coordinates point. Raises InputError as load does."""
     path = scene_file(path)
     module = format_of(path)
     with _told(path):
@@ -144,7 +144,7 @@ def load(
 
     progress is called with 0 to 1 while it reads; by default, a terminal shows a bar. warn is
     called with a sentence about whatever had to be left out, such as splats that are not finite,
-    and with which file of a folder is read. Raises SceneError for a file that can't be read whole:
+    and with which file of a folder is read. Raises InputError for a file that can't be read whole:
     it names the file and what is wrong with it.
     """
     if progress is not None:
@@ -172,7 +172,7 @@ def load_into(into: Into[Made], path: str | Path, progress: Progress, warn: Warn
 
 
 def check_output(path: str | Path, overwrite: bool = False) -> None:
-    """Raises SceneError, before there is anything to write, where save would fail.
+    """Raises InputError, before there is anything to write, where save would fail.
 
     That is for an ending that can't be written, a missing package, a folder that is missing or
     can't be written to, and a file that exists, unless overwrite is given.
@@ -190,15 +190,15 @@ def check_new_file(path: str | Path, overwrite: bool = False) -> None:
     with _told(path):
         exists = path.exists()
     if not path.parent.is_dir():
-        raise SceneError(f"{path}: {path.parent} is no folder")
+        raise InputError(f"{path}: {path.parent} is no folder")
     if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise SceneError(f"{path}: nothing can be written to {path.parent}")
+        raise InputError(f"{path}: nothing can be written to {path.parent}")
     if path.is_dir():
-        raise SceneError(f"{path}: is a folder")
+        raise InputError(f"{path}: is a folder")
     if exists and not path.is_file():
-        raise SceneError(f"{path}: is no file that could be replaced")
+        raise InputError(f"{path}: is no file that could be replaced")
     if exists and not overwrite:
-        raise SceneError(f"{path}: exists already; overwrite replaces it")
+        raise InputError(f"{path}: exists already; overwrite replaces it")
 
 
 def save(path: str | Path, splats: Splats, *, overwrite: bool = False) -> Splats:
@@ -207,7 +207,7 @@ def save(path: str | Path, splats: Splats, *, overwrite: bool = False) -> Splats
     overwrite: replace a file that exists, whole; else it is an error. Formats that have a place for
     the vertical keep it. Returns the splats in the order of the file: formats that pack neighbours
     put them in space order; channels that a format has no place for are left out, and a model that
-    it can't tell is lost, with a warning in the log. Raises SceneError for an ending that can't be
+    it can't tell is lost, with a warning in the log. Raises InputError for an ending that can't be
     written, splats that a format has no way to write, a place that can't be written to, or too
     little memory.
     """
@@ -260,7 +260,7 @@ def _require_finite(path: Path, splats: Splats) -> None:
     arrays = (splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh)
     with np.errstate(invalid="ignore"):  # in sums of infinities
         if not all(np.isfinite(array.sum(dtype=np.float64)) for array in arrays):
-            raise SceneError(f"{path}: a number that is not finite can't be written")
+            raise InputError(f"{path}: a number that is not finite can't be written")
 
 
 def _writer(path: Path) -> ModuleType:
@@ -269,17 +269,17 @@ def _writer(path: Path) -> ModuleType:
     for suffix in sorted(writers, key=len, reverse=True):
         if path.name.lower().endswith(suffix):
             return writers[suffix]
-    raise SceneError(f"{path}: can't write this ending, only {SUFFIXES}")
+    raise InputError(f"{path}: can't write this ending, only {SUFFIXES}")
 
 
 @contextlib.contextmanager
 def _told(path: Path) -> Iterator[None]:
-    """Turns errors of the system, or for want of memory, into a SceneError that names the file."""
+    """Turns errors of the system, or for want of memory, into a InputError that names the file."""
     if "\0" in str(path):  # Python's own functions fail on it in many ways
-        raise SceneError(f"{str(path)!r}: no name of a file")
+        raise InputError(f"{str(path)!r}: no name of a file")
     try:
         yield
     except OSError as error:
-        raise SceneError(f"{path}: {error.strerror or error}") from error
+        raise InputError(f"{path}: {error.strerror or error}") from error
     except MemoryError as error:
-        raise SceneError(f"{path}: too large for this machine's memory") from error
+        raise InputError(f"{path}: too large for this machine's memory") from error

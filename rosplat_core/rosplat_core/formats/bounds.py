@@ -9,43 +9,43 @@ from pathlib import Path
 
 from rosplat_core.log_text import shown
 from rosplat_core.slot_pages import MAX_SLOTS
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 MAX_RATIO = 100  # of unpacked to packed size; real scenes unpack to 2 to 10 times their file
 FREE = 1 << 24  # any file may unpack to this, however small it is [bytes]
 
 
 def size_of(path: Path) -> int:
-    """Size of a file [bytes]. Raises SceneError for a pipe, a device or a folder: no file."""
+    """Size of a file [bytes]. Raises InputError for a pipe, a device or a folder: no file."""
     found = path.stat()
     if not stat.S_ISREG(found.st_mode):
-        raise SceneError(f"{path}: not a file")
+        raise InputError(f"{path}: not a file")
     return found.st_size
 
 
 def claim(path: Path, count: int, unpacked: int, held: int) -> None:
-    """Raises SceneError for more splats than a map can have, or than a file can hold.
+    """Raises InputError for more splats than a map can have, or than a file can hold.
 
     unpacked: size of `count` splats once decompressed, before they are decoded [bytes]. held: their
     size in the file [bytes].
     """
     if count > MAX_SLOTS:
-        raise SceneError(f"{path}: {count:,} splats; a map has at most {MAX_SLOTS:,}")
+        raise InputError(f"{path}: {count:,} splats; a map has at most {MAX_SLOTS:,}")
     if unpacked > unpackable(held):
-        raise SceneError(f"{path}: {count:,} splats can't be packed in {held:,} bytes")
+        raise InputError(f"{path}: {count:,} splats can't be packed in {held:,} bytes")
 
 
 @contextmanager
 def refusing(what: str) -> Iterator[None]:
-    """Turns errors that a field of a wrong kind causes into a SceneError: `what` begins it."""
+    """Turns errors that a field of a wrong kind causes into a InputError: `what` begins it."""
     try:
         yield
-    except SceneError:
+    except InputError:
         raise
     except (
         ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError,
     ) as error:  # fmt: skip
-        raise SceneError(f"{what}: {shown(f'{type(error).__name__}: {error}')}") from error
+        raise InputError(f"{what}: {shown(f'{type(error).__name__}: {error}')}") from error
 
 
 def unpackable(held: int) -> int:

@@ -31,7 +31,7 @@ from rosplat_core.formats.ply_file import PlyFile, header
 from rosplat_core.formats.quantised import largest_restored, smallest_three, to_bytes
 from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.models import Model
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 
 NAME = "compressed PLY"
 SUFFIXES = (".compressed.ply",)
@@ -66,15 +66,15 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     file = PlyFile(path)
     for name in ("vertex", "chunk"):
         if name not in file.elements:
-            raise SceneError(f"{path}: no element {name}")
+            raise InputError(f"{path}: no element {name}")
     n = file.elements["vertex"].length
     claim(path, n, 0, size_of(path))
     rows, chunks = file.rows("vertex"), file.rows("chunk")[:]
     for name in PACKED:
         if name not in (rows.dtype.names or ()) or rows.dtype[name] != np.dtype("u4"):
-            raise SceneError(f"{path}: no property uint {name} of element vertex")
+            raise InputError(f"{path}: no property uint {name} of element vertex")
     if len(chunks) != -(-n // CHUNK):
-        raise SceneError(f"{path}: {len(chunks):,} chunks of {CHUNK} for {n:,} splats")
+        raise InputError(f"{path}: {len(chunks):,} chunks of {CHUNK} for {n:,} splats")
     position_range, scale_range = (_range(path, chunks, names) for names in RANGES[:2])
     colored = RANGES[2][0] in (chunks.dtype.names or ())
     color_range = _range(path, chunks, RANGES[2]) if colored else None
@@ -84,7 +84,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
         names = rest_names(path, rest, warn)
         bands = len(names) // 3
         if len(rest) != n or any(rest.dtype[name] != np.dtype("u1") for name in names):
-            raise SceneError(f"{path}: element sh: expected bytes, for {n:,} splats")
+            raise InputError(f"{path}: element sh: expected bytes, for {n:,} splats")
 
     for part, columns in into.blocks(n, 1 + bands, progress):
         positions, orientations, scales, opacities, sh = columns
@@ -155,7 +155,7 @@ def _range(path: Path, chunks: NDArray[np.void], names: list[str]) -> Floats:
     """(chunks, 2, 3) least and greatest values."""
     missing = [name for name in names if name not in (chunks.dtype.names or ())]
     if missing:
-        raise SceneError(f"{path}: no property {', '.join(missing)} of element chunk")
+        raise InputError(f"{path}: no property {', '.join(missing)} of element chunk")
     columns = [chunks[name].astype(np.float32) for name in names]
     return np.stack(columns, axis=1).reshape(-1, 2, 3)
 

@@ -17,7 +17,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.models import Model
 from rosplat_core.payload import Arrays
 from rosplat_core.slot_order import order_by_size
-from rosplat_core.splats import PackedSplats, SceneError, Splats, rebase
+from rosplat_core.splats import InputError, PackedSplats, Splats, rebase
 
 Progress = Callable[[float], None]
 Warn = Callable[[str], object]
@@ -96,20 +96,20 @@ Made = TypeVar("Made", Splats, PackedSplats)
 
 
 def told_model(path: Path, name: object) -> Model:
-    """The model that a file names, EWA for None. Raises SceneError for one that isn't known."""
+    """The model that a file names, EWA for None. Raises InputError for one that isn't known."""
     if name is None:
         return Model.EWA
     known = list(map(str, Model))
     if name not in known:
-        raise SceneError(f"{path}: model {shown(repr(name))} is none of {', '.join(known)}")
+        raise InputError(f"{path}: model {shown(repr(name))} is none of {', '.join(known)}")
     return Model.of(str(name))
 
 
 def one_model(path: Path, models: Iterable[Model]) -> Model:
-    """The model of all parts of a file, EWA without one. Raises SceneError for several."""
+    """The model of all parts of a file, EWA without one. Raises InputError for several."""
     found = sorted(set(models))
     if len(found) > 1:
-        raise SceneError(f"{path}: its splats are of several models: {', '.join(map(str, found))}")
+        raise InputError(f"{path}: its splats are of several models: {', '.join(map(str, found))}")
     return found[0] if found else Model.EWA
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 
 class FileRows:
@@ -32,14 +32,14 @@ class FileRows:
     def __getitem__(self, part: slice) -> NDArray[Any]:
         """Rows one after the other; the last ones that were read are kept. Only to be read.
 
-        Raises SceneError where the file has become too short for them.
+        Raises InputError where the file has become too short for them.
         """
         wanted = range(self._count)[part]
         if self._held[0] != wanted:
             self._stream.seek(self._begin + wanted.start * self.dtype.itemsize)
             rows = np.fromfile(self._stream, self.dtype, len(wanted))
             if len(rows) < len(wanted):
-                raise SceneError(f"{self._path}: became shorter while it was read")
+                raise InputError(f"{self._path}: became shorter while it was read")
             rows.setflags(write=False)
             self._held = wanted, rows
         return self._held[1]

@@ -26,7 +26,7 @@ from rosplat_core.formats.decoded import (
     Warn,
     share,
 )
-from rosplat_core.splats import SceneError, concatenate
+from rosplat_core.splats import InputError, concatenate
 
 NAME = "a folder of tiles"
 
@@ -71,7 +71,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     tiles = _tiles(path)
     endings = sorted({tile.suffix.lower() for tile in tiles})
     if len(endings) > 1:
-        raise SceneError(f"{path}: holds {' and '.join(endings)}: name a file")
+        raise InputError(f"{path}: holds {' and '.join(endings)}: name a file")
     parts = []
     for number, tile in enumerate(tiles):
         part = share(progress, 0.9 * number / len(tiles), 0.9 * (number + 1) / len(tiles))
@@ -79,7 +79,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     try:
         joined = concatenate(parts)
     except ValueError as error:
-        raise SceneError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {error}") from error
     columns = Columns(
         joined.positions.astype(np.float64) + joined.origin,
         joined.orientations, joined.scales, joined.opacities, joined.sh,
@@ -97,7 +97,7 @@ def _reader(tile: Path) -> ModuleType:
     for reader in READERS:
         if reader.recognises(tile, head):
             return reader
-    raise SceneError(f"{tile}: no tile that can be read")
+    raise InputError(f"{tile}: no tile that can be read")
 
 
 def _iteration(file: Path) -> float:

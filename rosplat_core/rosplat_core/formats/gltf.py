@@ -49,7 +49,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.models import Model
 from rosplat_core.quaternions import to_matrices
 from rosplat_core.slot_pages import MAX_SLOTS
-from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients, splat_bytes
+from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients, splat_bytes
 
 NAME = "glTF"
 SUFFIXES = (".glb",)
@@ -114,7 +114,7 @@ def size(path: Path) -> int:
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
     """Writes a .glb of floats, coordinates as they are; the origin is its node's translation.
 
-    Raises SceneError for more than the 4 GiB that a .glb can have.
+    Raises InputError for more than the 4 GiB that a .glb can have.
     """
     columns = _written(splats)
     asset: dict[str, Any] = {
@@ -130,7 +130,7 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
     text += b" " * (-len(text) % 4)
     length = HEADER.size + CHUNK.size + len(text) + (CHUNK.size + size if size else 0)
     if length >= 1 << 32:
-        raise SceneError(f"{path}: {len(splats):,} splats take more than the 4 GiB of a .glb")
+        raise InputError(f"{path}: {len(splats):,} splats take more than the 4 GiB of a .glb")
     stream.write(HEADER.pack(MAGIC, 2, length) + CHUNK.pack(len(text), b"JSON") + text)
     if size:
         stream.write(CHUNK.pack(size, b"BIN\0"))
@@ -309,7 +309,7 @@ class _Asset:
     """A file's JSON and buffers."""
 
     def __init__(self, path: Path) -> None:
-        """Reads the JSON. Raises SceneError for a version or required extension that isn't read."""
+        """Reads the JSON. Raises InputError for a version or required extension that isn't read."""
         self.path = path
         self.size = size_of(path)
         """Size of the file, and of the buffers beside it that were opened. [bytes]"""
@@ -322,27 +322,27 @@ class _Asset:
         try:
             self._json = json.loads(text)
         except (ValueError, RecursionError) as error:
-            raise SceneError(f"{path}: broken JSON: {shown(error)}") from error
+            raise InputError(f"{path}: broken JSON: {shown(error)}") from error
         version = self._json["asset"]["version"]
         if version != "2.0":
-            raise SceneError(f"{path}: glTF {shown(repr(version))} can't be read, only 2.0")
+            raise InputError(f"{path}: glTF {shown(repr(version))} can't be read, only 2.0")
         for name in self._json.get("extensionsRequired", []):
             if name not in READ:
-                raise SceneError(f"{path}: requires {shown(repr(name))}, which isn't read")
+                raise InputError(f"{path}: requires {shown(repr(name))}, which isn't read")
 
     def primitives(self) -> Iterator[_Primitive]:
-        """The splats of the scene. Raises SceneError for a file that doesn't use the extension."""
+        """The splats of the scene. Raises InputError for a file that doesn't use the extension."""
         count = 0
         for mesh, pose in self._meshes():
             for primitive in self._item("meshes", mesh)["primitives"]:
                 count += 1
                 if count > MOST_PRIMITIVES:
-                    raise SceneError(f"{self.path}: more than {MOST_PRIMITIVES:,} primitives")
+                    raise InputError(f"{self.path}: more than {MOST_PRIMITIVES:,} primitives")
                 told = primitive.get("extensions", {}).get(EXTENSION)
                 if told is not None:
                     yield self._primitive(primitive, told, pose)
         if EXTENSION not in self._json.get("extensionsUsed", []):
-            raise SceneError(f"{self.path}: holds no splats: it doesn't use {EXTENSION}")
+            raise InputError(f"{self.path}: holds no splats: it doesn't use {EXTENSION}")
 
     # --- Containers
 
@@ -350,12 +350,12 @@ class _Asset:
         """The JSON of a .glb; the chunk behind it, if any, becomes buffer 0."""
         head = stream.read(HEADER.size)
         if len(head) < HEADER.size:
-            raise SceneError(f"{self.path}: truncated: no whole header")
+            raise InputError(f"{self.path}: truncated: no whole header")
         _, version, length = HEADER.unpack(head)
         if version != 2:
-            raise SceneError(f"{self.path}: version {version} of .glb can't be read, only 2")
+            raise InputError(f"{self.path}: version {version} of .glb can't be read, only 2")
         if length > self.size:
-            raise SceneError(
+            raise InputError(
                 f"{self.path}: truncated: {length:,} bytes expected, {self.size:,} found"
             )
         text = self._text(stream, self._chunk(stream, b"JSON", length))
@@ -368,17 +368,17 @@ class _Asset:
         """Size of the chunk that begins here. [bytes]"""
         head = stream.read(CHUNK.size)
         if len(head) < CHUNK.size:
-            raise SceneError(f"{self.path}: truncated: no chunk {kind!r}")
+            raise InputError(f"{self.path}: truncated: no chunk {kind!r}")
         length, found = CHUNK.unpack(head)
         if found != kind:
-            raise SceneError(f"{self.path}: chunk {found!r}, expected {kind!r}")
+            raise InputError(f"{self.path}: chunk {found!r}, expected {kind!r}")
         if length > end - stream.tell():
-            raise SceneError(f"{self.path}: truncated: a chunk of {length:,} bytes is cut off")
+            raise InputError(f"{self.path}: truncated: a chunk of {length:,} bytes is cut off")
         return int(length)
 
     def _text(self, stream: BinaryIO, length: int) -> bytes:
         if length > LARGEST_JSON:
-            raise SceneError(f"{self.path}: {length:,} bytes of JSON, at most {LARGEST_JSON:,}")
+            raise InputError(f"{self.path}: {length:,} bytes of JSON, at most {LARGEST_JSON:,}")
         return stream.read(length)
 
     def _buffer(self, index: int) -> tuple[NDArray[np.uint8] | FileRows, int]:
@@ -387,12 +387,12 @@ class _Asset:
         if index not in self._buffers:
             uri = buffer.get("uri")
             if not isinstance(uri, str):
-                raise SceneError(f"{self.path}: buffer {index} isn't there")
+                raise InputError(f"{self.path}: buffer {index} isn't there")
             self._buffers[index] = self._opened(uri)
         found = self._buffers[index]
         length = self._whole(buffer, "byteLength", 1, MAX_BYTES)
         if length > len(found):
-            raise SceneError(
+            raise InputError(
                 f"{self.path}: truncated: buffer {index} has {len(found):,} bytes, "
                 f"{length:,} expected"
             )
@@ -404,19 +404,19 @@ class _Asset:
                 data = base64.b64decode(uri.partition(";base64,")[2], validate=True)
                 return np.frombuffer(data, np.uint8)
             except binascii.Error as error:
-                raise SceneError(f"{self.path}: broken data URI: {shown(error)}") from error
+                raise InputError(f"{self.path}: broken data URI: {shown(error)}") from error
         name = urllib.parse.unquote(uri)
         relative = Path(name)
         outside = relative.is_absolute() or ".." in relative.parts or ":" in uri
         if outside or "\0" in name or not 0 < len(name) < LONGEST_NAME:
-            raise SceneError(f"{self.path}: buffer {shown(repr(uri))} is no file below the scene")
+            raise InputError(f"{self.path}: buffer {shown(repr(uri))} is no file below the scene")
         beside = self.path.parent / relative
         try:
             size = size_of(beside)
             self.size += size
             return FileRows(beside, np.uint8, 0, size)
         except OSError as error:
-            raise SceneError(f"{self.path}: {beside}: {error.strerror or error}") from error
+            raise InputError(f"{self.path}: {beside}: {error.strerror or error}") from error
 
     # --- Nodes
 
@@ -434,12 +434,12 @@ class _Asset:
             index, above = stack.pop()
             node = self._item("nodes", index)
             if index in seen:
-                raise SceneError(f"{self.path}: node {index} stands in two places")
+                raise InputError(f"{self.path}: node {index} stands in two places")
             seen.add(index)
             pose = above @ self._local(node)
             if "mesh" in node:
                 if not np.isfinite(pose).all():
-                    raise SceneError(f"{self.path}: node {index}: a number is not finite")
+                    raise InputError(f"{self.path}: node {index}: a number is not finite")
                 yield node["mesh"], pose
             stack += [(child, pose) for child in reversed(node.get("children", []))]
 
@@ -453,7 +453,7 @@ class _Asset:
         if "rotation" in node:
             quaternion = np.array(node["rotation"], np.float64)
             if quaternion.shape != (4,) or not quaternion.any():
-                raise SceneError(f"{self.path}: a node's rotation is no quaternion")
+                raise InputError(f"{self.path}: a node's rotation is no quaternion")
             pose[:3, :3] = to_matrices(quaternion)
         pose[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), np.float64)
         pose[:3, 3] = node.get("translation", (0, 0, 0))
@@ -464,9 +464,9 @@ class _Asset:
     def _primitive(self, primitive: Any, told: Any, pose: NDArray[np.float64]) -> _Primitive:
         mode = primitive.get("mode", TRIANGLES)
         if mode != POINTS:
-            raise SceneError(f"{self.path}: splats in mode {shown(repr(mode))}, not as points")
+            raise InputError(f"{self.path}: splats in mode {shown(repr(mode))}, not as points")
         if told.get("kernel", "ellipse") != "ellipse":
-            raise SceneError(f"{self.path}: kernel {shown(repr(told['kernel']))} isn't read")
+            raise InputError(f"{self.path}: kernel {shown(repr(told['kernel']))} isn't read")
         for name, drawn in HINTS.items():
             if (hint := told.get(name, drawn[0])) not in drawn:
                 self.warnings.append(f"{name} is {shown(repr(hint))}; drawn as {drawn[0]}")
@@ -484,16 +484,16 @@ class _Asset:
         attributes = {}
         for name, kind in kinds.items():
             if name not in accessors:
-                raise SceneError(f"{self.path}: not a Gaussian splat: no attribute {name}")
+                raise InputError(f"{self.path}: not a Gaussian splat: no attribute {name}")
             if "bufferView" not in self._item("accessors", accessors[name]):
                 packed = next(iter(told.get("extensions", {})), "a sparse accessor, or none")
-                raise SceneError(
+                raise InputError(
                     f"{self.path}: {name} is packed by {shown(packed)}, which isn't read"
                 )
             attributes[name] = self._accessor(name, accessors[name], kind)
         counts = {attribute.shape[0] for attribute in attributes.values()}
         if len(counts) > 1:
-            raise SceneError(f"{self.path}: attributes of different lengths: {sorted(counts)}")
+            raise InputError(f"{self.path}: attributes of different lengths: {sorted(counts)}")
         model = told_model(self.path, told.get("extras", {}).get("model"))
         return _Primitive(pose, degree, model, attributes)
 
@@ -511,14 +511,14 @@ class _Asset:
     def _accessor(self, name: str, index: int, kind: str) -> _Attribute:
         accessor = self._item("accessors", index)
         if "sparse" in accessor:
-            raise SceneError(f"{self.path}: {name}: a sparse accessor isn't read")
+            raise InputError(f"{self.path}: {name}: a sparse accessor isn't read")
         if accessor["type"] != kind:
-            raise SceneError(
+            raise InputError(
                 f"{self.path}: {name} is a {shown(repr(accessor['type']))}, expected {kind}"
             )
         dtype = DTYPES.get(accessor["componentType"])
         if dtype is None:
-            raise SceneError(
+            raise InputError(
                 f"{self.path}: {name} of type {shown(repr(accessor['componentType']))} isn't read"
             )
         view = self._item("bufferViews", accessor["bufferView"])
@@ -531,7 +531,7 @@ class _Asset:
         length = self._whole(view, "byteLength", 1, MAX_BYTES)
         buffer, held = self._buffer(view["buffer"])
         if within + stride * (count - 1) + element > min(length, held - begin):
-            raise SceneError(f"{self.path}: truncated: {name} of {count:,} splats isn't all there")
+            raise InputError(f"{self.path}: truncated: {name} of {count:,} splats isn't all there")
         normalized = accessor.get("normalized", False) is True and dtype.kind != "f"
         divisor = float(np.iinfo(dtype).max) if normalized else 1.0
         skip = within % stride
@@ -542,7 +542,7 @@ class _Asset:
         """An item of one of the JSON's lists."""
         items = self._json[kind]
         if type(index) is not int or not 0 <= index < len(items):  # true is an int, too
-            raise SceneError(f"{self.path}: no {kind}[{shown(repr(index))}]")
+            raise InputError(f"{self.path}: no {kind}[{shown(repr(index))}]")
         return items[index]
 
     def _whole(
@@ -551,7 +551,7 @@ class _Asset:
         """A whole number, least to most, of an object in the JSON."""
         number = holder[name] if default is None else holder.get(name, default)
         if type(number) is not int or not least <= number <= most:
-            raise SceneError(
+            raise InputError(
                 f"{self.path}: {name} is {shown(repr(number))}, expected {least:,} to {most:,}"
             )
         return number

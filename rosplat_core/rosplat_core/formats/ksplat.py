@@ -27,7 +27,7 @@ from rosplat_core.formats.decoded import Floats, Into, Made, Progress, Warn
 from rosplat_core.formats.file_rows import FileRows
 from rosplat_core.formats.strangers import packed
 from rosplat_core.harmonics import C0 as SH_C0
-from rosplat_core.splats import MAX_SH_DEGREE, SceneError, sh_coefficients
+from rosplat_core.splats import MAX_SH_DEGREE, InputError, sh_coefficients
 
 NAME = ".ksplat"
 SUFFIX = NAME
@@ -77,20 +77,20 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads all sections; splats of one with fewer bands than others get zeros."""
     size = size_of(path)
     if size < HEADER.itemsize:
-        raise SceneError(f"{path}: truncated: {size:,} of a header's {HEADER.itemsize:,} bytes")
+        raise InputError(f"{path}: truncated: {size:,} of a header's {HEADER.itemsize:,} bytes")
     data = FileRows(path, np.uint8, 0, size)
     header = data[: HEADER.itemsize].view(HEADER)[0]
     if (header["major"], header["minor"]) != VERSION:
         version = f"{header['major']}.{header['minor']}"
-        raise SceneError(f"{path}: KSPLAT version {version} can't be read, only 0.1")
+        raise InputError(f"{path}: KSPLAT version {version} can't be read, only 0.1")
     level = int(header["level"])
     if level >= len(TYPES):
-        raise SceneError(f"{path}: compression level {level}, expected 0 to {len(TYPES) - 1}")
+        raise InputError(f"{path}: compression level {level}, expected 0 to {len(TYPES) - 1}")
     sections = _sections(path, data, header)
     n = sum(int(section.header["count"]) for section in sections)
     claim(path, n, 0, size)
     if n != header["count"]:
-        raise SceneError(f"{path}: {header['count']:,} splats, but {n:,} in its sections")
+        raise InputError(f"{path}: {header['count']:,} splats, but {n:,} in its sections")
 
     degree = max((int(section.header["degree"]) for section in sections), default=0)
     counts = [int(section.header["count"]) for section in sections]
@@ -124,19 +124,19 @@ def _sections(path: Path, data: FileRows, header: np.void) -> list[Section]:
     first = HEADER.itemsize
     place = first + int(header["sections"]) * SECTION.itemsize
     if place > len(data):
-        raise SceneError(f"{path}: truncated: no room for {header['sections']:,} sections")
+        raise InputError(f"{path}: truncated: no room for {header['sections']:,} sections")
     sections = []
     for i, section in enumerate(data[first:place].view(SECTION)):
         count, room, degree = (int(section[name]) for name in ("count", "room", "degree"))
         if degree > MAX_SH_DEGREE:
-            raise SceneError(f"{path}: section {i}: SH degree {degree}, expected 0 to 3")
+            raise InputError(f"{path}: section {i}: SH degree {degree}, expected 0 to 3")
         if count > room:
-            raise SceneError(f"{path}: section {i}: {count:,} splats, room for {room:,}")
+            raise InputError(f"{path}: section {i}: {count:,} splats, room for {room:,}")
         centres = place + 4 * int(section["partial"])
         splats = centres + int(section["bucket_bytes"]) * int(section["buckets"])
         place = splats + room * _layout(int(header["level"]), degree).itemsize
         if place > len(data):
-            raise SceneError(
+            raise InputError(
                 f"{path}: truncated: section {i} ends at {place:,}, the file at {len(data):,}"
             )
         sections.append(Section(section, centres - 4 * int(section["partial"]), centres, splats))
@@ -171,7 +171,7 @@ def _centres(
         or header["bucket_bytes"] != CENTRE_BYTES
         or full * bucket_size + int(counts.sum()) != count
     ):
-        raise SceneError(f"{path}: the buckets of a section don't hold its {count:,} splats")
+        raise InputError(f"{path}: the buckets of a section don't hold its {count:,} splats")
     centres = data[section.centres : section.splats].view("<f4").reshape(-1, 3)
     every = np.concatenate([np.full(full, bucket_size), counts])
     return np.repeat(centres[: full + partial], every, axis=0)

@@ -40,7 +40,7 @@ from rosplat_core.formats.quantised import sigmoid
 from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
-from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
+from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients
 
 NAME = "PLY"
 SUFFIXES = (".ply",)
@@ -106,7 +106,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     file = PlyFile(path)
     if "vertex" not in file.elements:
         names = shown(", ".join(file.elements) or "none")
-        raise SceneError(f"{path}: not a Gaussian splat: no element vertex, only {names}")
+        raise InputError(f"{path}: not a Gaussian splat: no element vertex, only {names}")
     if not file.is_text:
         file.elements["vertex"] = _with_halves(file.elements["vertex"])
     claim(path, file.elements["vertex"].length, 0, size_of(path))
@@ -128,12 +128,12 @@ def from_rows(
 
     Those without scale_2 (2D Gaussians) are flat, and of Model.DISC; those with scale_0 alone are
     spheres. Bands above the third are left out. Mip-Splatting's 3D filter is applied, as its
-    create_fused_ply.py does. path is for errors to name. Raises SceneError where a property is
+    create_fused_ply.py does. path is for errors to name. Raises InputError where a property is
     missing.
     """
     have = rows.dtype.names or ()
     if ANCHOR in have:
-        raise SceneError(f"{path}: anchors of Scaffold-GS, whose networks make splats of them")
+        raise InputError(f"{path}: anchors of Scaffold-GS, whose networks make splats of them")
     count = 3 if SCALE[2] in have else 2 if SCALE[1] in have else 1
     scale: list[str] = SCALE[:count]
     rotation: list[str] = [] if count == 1 and ROTATION[0] not in have else ROTATION
@@ -177,11 +177,11 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
     """Writes splats as binary little-endian PLY, with the zero normals that old viewers expect.
 
     Positions become doubles where the splats have an origin, so that none of it is lost. Raises
-    SceneError for a channel that is called like a property with a meaning.
+    InputError for a channel that is called like a property with a meaning.
     """
     for name in splats.channels:
         if _has_meaning(name):
-            raise SceneError(f"{path}: channel '{name}': a PLY has a property of that name")
+            raise InputError(f"{path}: channel '{name}': a PLY has a property of that name")
     layout = to_rows(splats[:0]).dtype
     stream.write(header({"vertex": (len(splats), layout)}, comments_of(splats)))
     for part in blocks(len(splats)):
@@ -319,12 +319,12 @@ def model_in(comments: list[str]) -> Model | None:
 def rest_names(path: Path, rows: Rows, warn: Warn) -> list[str]:
     """Names of the f_rest properties that a map has room for, channel by channel.
 
-    Tells warn of bands that are left out. Raises SceneError for a gap.
+    Tells warn of bands that are left out. Raises InputError for a gap.
     """
     count = sum(name.startswith("f_rest_") for name in rows.dtype.names or ())
     counts = [3 * (sh_coefficients(degree) - 1) for degree in range(HIGHEST_DEGREE + 1)]
     if count not in counts:
-        raise SceneError(f"{path}: {count} properties f_rest_*, expected one of {counts}")
+        raise InputError(f"{path}: {count} properties f_rest_*, expected one of {counts}")
     _require_numbers(path, rows, [f"f_rest_{i}" for i in range(count)])
     degree, each = counts.index(count), count // 3
     kept = min(each, sh_coefficients(MAX_SH_DEGREE) - 1)
@@ -337,7 +337,7 @@ def _require_numbers(path: Path, rows: Rows, names: list[str]) -> None:
     have = rows.dtype.names or ()
     missing = [name for name in names if name not in have]
     if missing:
-        raise SceneError(f"{path}: not a Gaussian splat: no property {', '.join(missing)}")
+        raise InputError(f"{path}: not a Gaussian splat: no property {', '.join(missing)}")
 
 
 def _columns(

@@ -18,7 +18,7 @@ from rosplat_core.formats.bounds import size_of
 from rosplat_core.formats.decoded import Progress
 from rosplat_core.formats.file_rows import FileRows
 from rosplat_core.log_text import shown
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 LARGEST_HEADER = 1 << 16  # that of a trained scene takes 2,000 [bytes]
 
@@ -50,7 +50,7 @@ class Element(NamedTuple):
 
 
 class PlyFile:
-    """A PLY whose header is read. Raises SceneError for one that is broken or cut short."""
+    """A PLY whose header is read. Raises InputError for one that is broken or cut short."""
 
     def __init__(self, path: Path) -> None:
         """Reads the header and checks what it promises against the file's size."""
@@ -63,12 +63,12 @@ class PlyFile:
         # All lines end as the first does.
         match = re.match(rb"ply(\r\n|\r|\n)(?:.*?\1)??end_header(?:\1|$)", head, re.DOTALL)
         if not match:
-            raise SceneError(f"{path}: a PLY with no end_header in its first {len(head):,} bytes")
+            raise InputError(f"{path}: a PLY with no end_header in its first {len(head):,} bytes")
         lines = match[0].decode("utf-8", "replace").split(match[1].decode())
         try:
             self._parse(lines)
         except (KeyError, ValueError, IndexError) as error:
-            raise SceneError(f"{path}: header of the PLY: {shown(error, 300)}") from error
+            raise InputError(f"{path}: header of the PLY: {shown(error, 300)}") from error
         self._begin = match.end()
         self._lines = len(lines) - 1
         self._check_size(size)
@@ -81,14 +81,14 @@ class PlyFile:
         element = self.elements[name]
         if element.lists:
             names = ", ".join(element.lists)
-            raise SceneError(f"{self.path}: property {names} is a list, expected a number")
+            raise InputError(f"{self.path}: property {names} is a list, expected a number")
         before = list(self.elements.values())[: list(self.elements).index(name)]
         if not element.length:
             return np.empty(0, element.dtype)
         if self.is_text:
             return self._parsed(name, element, sum(other.length for other in before), progress)
         if any(other.lists for other in before):
-            raise SceneError(f"{self.path}: an element with lists before element {name}")
+            raise InputError(f"{self.path}: an element with lists before element {name}")
         offset = self._begin + sum(other.length * other.dtype.itemsize for other in before)
         return FileRows(self.path, element.dtype, offset, element.length)
 
@@ -137,7 +137,7 @@ class PlyFile:
             binary = element.dtype.itemsize + len(element.lists)
             least = 2 * columns if self.is_text else binary  # a digit and what follows it
             if element.length and not columns:
-                raise SceneError(f"{self.path}: element {name} has rows, but no property")
+                raise InputError(f"{self.path}: element {name} has rows, but no property")
             if element.length * least > room + self.is_text:
                 raise self._truncated(name, element, room // least)
             room -= element.length * least
@@ -161,16 +161,16 @@ class PlyFile:
                     rows[held : held + len(part)] = part
                     held, skip = held + len(part), 0
                     progress(held / len(rows))
-        except SceneError:
+        except InputError:
             raise
         except (ValueError, IndexError, OverflowError) as error:
-            raise SceneError(
+            raise InputError(
                 f"{self.path}: malformed row of element {name}: {shown(error)}"
             ) from error
         return rows
 
-    def _truncated(self, name: str, element: Element, held: int) -> SceneError:
-        return SceneError(
+    def _truncated(self, name: str, element: Element, held: int) -> InputError:
+        return InputError(
             f"{self.path}: truncated: the header promises {element.length:,} rows of element "
             f"{name}, the file's {size_of(self.path):,} bytes hold {held:,}"
         )

@@ -37,7 +37,7 @@ from rosplat_core.formats.decoded import Columns, Floats, Into, Made, Progress, 
 from rosplat_core.formats.quantised import largest_restored, sigmoid, smallest_three, to_bytes
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
-from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
+from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients
 
 NAME = "SOG"
 SUFFIXES = (".sog",)
@@ -70,9 +70,9 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
         with zipfile.ZipFile(path) as bundle:
             return _Reader(path, _Zip(bundle)).read(progress, warn, into)
     except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
-        if isinstance(error, SceneError):
+        if isinstance(error, InputError):
             raise
-        raise SceneError(f"{path}: broken or truncated zip: {shown(error)}") from error
+        raise InputError(f"{path}: broken or truncated zip: {shown(error)}") from error
 
 
 def _names(path: Path) -> list[str]:
@@ -93,19 +93,19 @@ class Claims(NamedTuple):
 
 
 def claims(path: Path) -> Claims:
-    """What a scene's meta.json says of it; its pictures are not decoded. Raises SceneError."""
+    """What a scene's meta.json says of it; its pictures are not decoded. Raises InputError."""
     try:
         return _Reader(path, _Folder(path.parent)).claims()
     except OSError as error:
-        raise SceneError(f"{path}: {error.strerror or error}") from error
+        raise InputError(f"{path}: {error.strerror or error}") from error
 
 
 def unpack(path: Path, progress: Progress) -> Packed:
-    """Decodes the pictures beside a meta.json. Raises SceneError, and MemoryError."""
+    """Decodes the pictures beside a meta.json. Raises InputError, and MemoryError."""
     try:
         return _Reader(path, _Folder(path.parent)).unpack(progress)
     except OSError as error:
-        raise SceneError(f"{path}: {error.strerror or error}") from error
+        raise InputError(f"{path}: {error.strerror or error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,18 +271,18 @@ class _Reader:
         self._path = path
         self._files = files
         if self._size(META) > LARGEST_META:
-            raise SceneError(f"{path}: {META} has more than {LARGEST_META:,} bytes")
+            raise InputError(f"{path}: {META} has more than {LARGEST_META:,} bytes")
         try:
             self._meta = json.loads(self._file(META))
         except (ValueError, RecursionError) as error:  # JSON or its encoding
-            if isinstance(error, SceneError):
+            if isinstance(error, InputError):
                 raise
-            raise SceneError(f"{path}: broken {META}: {shown(error)}") from error
+            raise InputError(f"{path}: broken {META}: {shown(error)}") from error
         if not isinstance(self._meta, dict):
-            raise SceneError(f"{path}: {META} holds no fields")
+            raise InputError(f"{path}: {META} holds no fields")
         self._version = self._meta.get("version", 1)  # version 1 has no such field
         if self._version not in (1, 2):
-            raise SceneError(
+            raise InputError(
                 f"{path}: SOG version {shown(repr(self._version))} can't be read, only 1 and 2"
             )
 
@@ -341,7 +341,7 @@ class _Reader:
         else:
             n, name = self._field("count"), "count"
         if type(n) is not int or n < 0:  # true is an int, too
-            raise SceneError(
+            raise InputError(
                 f"{self._path}: {name} is {shown(repr(n))}, expected a number of splats"
             )
         return Claims(n, self._sh_degree() if self._has_bands() else 0, self._model())
@@ -360,14 +360,14 @@ class _Reader:
         if self._version == 2:
             degree = self._field("shN", "bands")
             if type(degree) is not int or not 1 <= degree <= MAX_SH_DEGREE:
-                raise SceneError(f"{self._path}: shN.bands is {shown(repr(degree))}, not 1, 2 or 3")
+                raise InputError(f"{self._path}: shN.bands is {shown(repr(degree))}, not 1, 2 or 3")
             return degree
         width = self._picture("shN", 0).width
         for degree in range(1, MAX_SH_DEGREE + 1):
             if width == _palette_width(degree):
                 return degree
         wanted = ", ".join(str(_palette_width(d)) for d in range(1, MAX_SH_DEGREE + 1))
-        raise SceneError(f"{self._path}: {self._name('shN', 0)} is {width} px wide, not {wanted}")
+        raise InputError(f"{self._path}: {self._name('shN', 0)} is {width} px wide, not {wanted}")
 
     def _table(self, field: str, channels: int) -> NDArray[np.float32]:
         """(256, channels) the value of each byte in a field's channels."""
@@ -385,9 +385,9 @@ class _Reader:
         degree = self._sh_degree()
         if image.width != (width := _palette_width(degree)):
             name = self._name("shN", 0)
-            raise SceneError(f"{self._path}: {name} is {image.width} px wide, not {width}")
+            raise InputError(f"{self._path}: {name} is {image.width} px wide, not {width}")
         if image.height > LARGEST_PALETTE // PALETTE_PER_ROW:
-            raise SceneError(f"{self._path}: {self._name('shN', 0)} is {image.height:,} px high")
+            raise InputError(f"{self._path}: {self._name('shN', 0)} is {image.height:,} px high")
         codes = self._decode(image, "shN", 0)[:, :3]
         return self._table("shN", 3)[codes, np.arange(3)].reshape(
             -1, sh_coefficients(degree) - 1, 3
@@ -398,7 +398,7 @@ class _Reader:
         pixels = self._pixels("shN", 1, count)
         labels = pixels[:, :2].copy().view("<u2")[:, 0]
         if labels.max(initial=0) >= colours:
-            raise SceneError(
+            raise InputError(
                 f"{self._path}: shN.files: label {labels.max()}, but {colours} centroids"
             )
         return labels
@@ -409,11 +409,11 @@ class _Reader:
         pixels = image.width * image.height
         name = self._name(field, index)
         if pixels < count:
-            raise SceneError(
+            raise InputError(
                 f"{self._path}: {name} holds {pixels:,} pixels, fewer than {count:,} splats"
             )
         if pixels > max(4 * count, 1 << 16):  # a texture of a power of two, at most
-            raise SceneError(f"{self._path}: {name} holds {pixels:,} pixels for {count:,} splats")
+            raise InputError(f"{self._path}: {name} holds {pixels:,} pixels for {count:,} splats")
         return self._decode(image, field, index)[:count]
 
     def _picture(self, field: str, index: int) -> Image.Image:
@@ -424,24 +424,24 @@ class _Reader:
             return Image.open(data, formats=("WEBP", "PNG"))
         except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
             reason = "no WebP or PNG" if isinstance(error, UnidentifiedImageError) else error
-            raise SceneError(f"{self._path}: {name} is no picture: {shown(reason)}") from error
+            raise InputError(f"{self._path}: {name} is no picture: {shown(reason)}") from error
 
     def _decode(self, image: Image.Image, field: str, index: int) -> NDArray[np.uint8]:
         try:
             return np.asarray(image.convert("RGBA")).reshape(-1, 4)
         except (OSError, SyntaxError, ValueError, EOFError, zlib.error) as error:
             name = self._name(field, index)
-            raise SceneError(
+            raise InputError(
                 f"{self._path}: {name} is a damaged picture: {shown(error)}"
             ) from error
 
     def _name(self, field: str, index: int) -> str:
         files = self._field(field, "files")
         if not isinstance(files, list) or len(files) <= index or not isinstance(files[index], str):
-            raise SceneError(f"{self._path}: {field}.files has no file name at {index}")
+            raise InputError(f"{self._path}: {field}.files has no file name at {index}")
         name: str = files[index]
         if Path(name).name != name or "\0" in name or len(name) > LONGEST_NAME:
-            raise SceneError(
+            raise InputError(
                 f"{self._path}: {shown(repr(name))} is not the name of a file beside {META}"
             )
         return name
@@ -450,7 +450,7 @@ class _Reader:
         try:
             return self._files.size(name)
         except (OSError, KeyError, ValueError) as error:
-            raise SceneError(f"{self._path}: can't read {name!r}: {_reason(error)}") from error
+            raise InputError(f"{self._path}: can't read {name!r}: {_reason(error)}") from error
 
     def _file(self, name: str) -> bytes:
         self._size(name)  # raises for too large a file, or none
@@ -460,13 +460,13 @@ class _Reader:
             OSError, KeyError, EOFError, ValueError, RuntimeError, NotImplementedError,
             zipfile.BadZipFile, zlib.error,
         ) as error:  # fmt: skip
-            raise SceneError(f"{self._path}: can't read {name!r}: {_reason(error)}") from error
+            raise InputError(f"{self._path}: can't read {name!r}: {_reason(error)}") from error
 
     def _field(self, *names: str) -> Any:
         value: Any = self._meta
         for name in names:
             if not isinstance(value, dict) or name not in value:
-                raise SceneError(f"{self._path}: no field {'.'.join(names)}")
+                raise InputError(f"{self._path}: no field {'.'.join(names)}")
             value = value[name]
         return value
 
@@ -474,14 +474,14 @@ class _Reader:
         try:
             values = np.atleast_1d(np.asarray(self._field(field, name), np.float64))
         except (TypeError, ValueError, OverflowError) as error:
-            if isinstance(error, SceneError):
+            if isinstance(error, InputError):
                 raise
             values = np.empty(0)
         if name == "codebook" and values.shape == (count,) and np.isnan(values[0]):
             # Some writers leave null there; PlayCanvas's engine mends it so.
             values[0] = values[1] + (values[1] - values[-1]) / (count - 1)
         if values.shape != (count,) or not np.isfinite(values).all():
-            raise SceneError(f"{self._path}: {field}.{name}: expected {count} finite numbers")
+            raise InputError(f"{self._path}: {field}.{name}: expected {count} finite numbers")
         return values
 
 

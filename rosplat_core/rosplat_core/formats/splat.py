@@ -22,7 +22,7 @@ from rosplat_core.formats.file_rows import FileRows
 from rosplat_core.formats.quantised import to_bytes
 from rosplat_core.formats.strangers import packed
 from rosplat_core.harmonics import C0 as SH_C0
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 
 NAME = ".splat"
 SUFFIXES = (".splat",)
@@ -42,7 +42,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     size = size_of(path)
     n, rest = divmod(size, RECORD.itemsize)
     if rest:
-        raise SceneError(f"{path}: {size:,} bytes are no whole number of splats, 32 bytes each")
+        raise InputError(f"{path}: {size:,} bytes are no whole number of splats, 32 bytes each")
     claim(path, n, size, size)
     rows = FileRows(path, RECORD, 0, n)
     for part, columns in into.blocks(n, 1, progress):

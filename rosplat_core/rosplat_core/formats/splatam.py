@@ -17,7 +17,7 @@ from rosplat_core.formats.decoded import Axes, Columns, Floats, Into, Made, Prog
 from rosplat_core.formats.quantised import sigmoid
 from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.log_text import shown
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 NAME = "SplaTAM params.npz"
 
@@ -50,12 +50,12 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
                 arrays[name] = _array(path, archive, name)
                 progress(len(arrays) / (len(SHAPES) + 1))
     except (zipfile.BadZipFile, zlib.error, EOFError) as error:
-        raise SceneError(f"{path}: damaged: {shown(error)}") from error
+        raise InputError(f"{path}: damaged: {shown(error)}") from error
     except RuntimeError as error:  # it is encrypted, or packed in a way that zipfile lacks
-        raise SceneError(f"{path}: can't be unpacked: {shown(error)}") from error
+        raise InputError(f"{path}: can't be unpacked: {shown(error)}") from error
     counts = {name: len(array) for name, array in arrays.items()}
     if len(set(counts.values())) > 1:
-        raise SceneError(f"{path}: arrays of different lengths: {counts}")
+        raise InputError(f"{path}: arrays of different lengths: {counts}")
     scales = np.exp(arrays["log_scales"])
     columns = Columns(
         positions=arrays["means3D"].astype(np.float64),
@@ -72,16 +72,16 @@ def _array(path: Path, archive: zipfile.ZipFile, name: str) -> Floats:
     try:
         entry = archive.getinfo(f"{name}.npy")
     except KeyError:
-        raise SceneError(f"{path}: not SplaTAM's: no array {name}") from None
+        raise InputError(f"{path}: not SplaTAM's: no array {name}") from None
     with archive.open(entry) as file:
         try:
             if np.lib.format.read_magic(file) != (1, 0):
                 raise ValueError("a header larger than 64 KiB")
             shape, _, dtype = np.lib.format.read_array_header_1_0(file)
         except Exception as error:  # NumPy's parser fails in many ways
-            raise SceneError(f"{path}: {name}: no array of NumPy's: {shown(error)}") from error
+            raise InputError(f"{path}: {name}: no array of NumPy's: {shown(error)}") from error
         if len(shape) != 2 or shape[1] not in SHAPES[name] or dtype.kind != "f":
-            raise SceneError(
+            raise InputError(
                 f"{path}: {name}: {dtype} {shape}, expected floats (n, {SHAPES[name]})"
             )
         claim(path, shape[0], shape[0] * shape[1] * dtype.itemsize, entry.compress_size)
@@ -89,4 +89,4 @@ def _array(path: Path, archive: zipfile.ZipFile, name: str) -> Floats:
         try:
             return np.lib.format.read_array(file, allow_pickle=False).astype(np.float32)
         except ValueError as error:
-            raise SceneError(f"{path}: {name}: cut off: {shown(error)}") from error
+            raise InputError(f"{path}: {name}: cut off: {shown(error)}") from error

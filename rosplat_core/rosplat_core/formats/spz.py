@@ -34,7 +34,7 @@ from rosplat_core.formats.quantised import largest_restored, smallest_three, to_
 from rosplat_core.formats.strangers import GZIP, beginning
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
-from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
+from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients
 
 NAME = "SPZ"
 SUFFIXES = (".spz",)
@@ -118,7 +118,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
             try:
                 header, packed = _read_gzip(path, stream, size, progress)
             except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-                raise SceneError(f"{path}: broken gzip stream: {shown(error)}") from error
+                raise InputError(f"{path}: broken gzip stream: {shown(error)}") from error
             if header.flags & FLAG_EXTENSIONS:
                 warn(f"{path}: extensions left out; they may turn the axes")
     if header.degree > MAX_SH_DEGREE:
@@ -129,7 +129,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
 def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
     """Writes splats as version 4, coordinates as they are. Needs the Python package zstandard.
 
-    Keeps fewer fractional bits for far positions; raises SceneError where even none leave room.
+    Keeps fewer fractional bits for far positions; raises InputError where even none leave room.
     """
     zstandard = require(path)
     degree = splats.sh_degree
@@ -167,20 +167,20 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
 
 def _header(path: Path, data: bytes, versions: range) -> Header:
     if len(data) < HEADER.size:
-        raise SceneError(f"{path}: truncated: {len(data)} of a header's {HEADER.size} bytes")
+        raise InputError(f"{path}: truncated: {len(data)} of a header's {HEADER.size} bytes")
     magic, *fields = HEADER.unpack(data)
     if magic != MAGIC:
-        raise SceneError(f"{path}: gzip, but not SPZ: magic {magic!r}, expected {MAGIC!r}")
+        raise InputError(f"{path}: gzip, but not SPZ: magic {magic!r}, expected {MAGIC!r}")
     header = Header(*fields)
     if header.version not in versions:
-        raise SceneError(
+        raise InputError(
             f"{path}: SPZ version {header.version} can't be read; so packed, only "
             f"{versions[0]} to {versions[-1]}"
         )
     if header.degree > STORED_DEGREE:
-        raise SceneError(f"{path}: SH degree {header.degree}, expected 0 to {STORED_DEGREE}")
+        raise InputError(f"{path}: SH degree {header.degree}, expected 0 to {STORED_DEGREE}")
     if header.fractional_bits > 24:
-        raise SceneError(f"{path}: {header.fractional_bits} fractional bits, expected 0 to 24")
+        raise InputError(f"{path}: {header.fractional_bits} fractional bits, expected 0 to 24")
     return header
 
 
@@ -199,7 +199,7 @@ def _read_gzip(
         while found < data.nbytes:
             piece = unzipped.read(min(data.nbytes - found, 1 << 20))
             if not piece:
-                raise SceneError(
+                raise InputError(
                     f"{path}: truncated: expected {data.nbytes:,} bytes of {name}, found {found:,}"
                 )
             target[found : found + len(piece)] = piece
@@ -210,7 +210,7 @@ def _read_gzip(
     for _ in range(0, unpackable(size), 1 << 20):
         if not unzipped.read(1 << 20):
             return header, packed
-    raise SceneError(f"{path}: more than {unpackable(size):,} bytes behind the attributes")
+    raise InputError(f"{path}: more than {unpackable(size):,} bytes behind the attributes")
 
 
 def _read_streams(
@@ -222,11 +222,11 @@ def _read_streams(
     sizes = {name: header.splats * width for name, width in header.widths.items()}
     stored = [name for name in sizes if sizes[name]]
     if header.streams != len(stored):
-        raise SceneError(f"{path}: {header.streams} streams, expected {len(stored)}")
+        raise InputError(f"{path}: {header.streams} streams, expected {len(stored)}")
     stream.seek(table_place)
     table = stream.read(TABLE_ENTRY.size * header.streams)
     if len(table) < TABLE_ENTRY.size * header.streams:
-        raise SceneError(f"{path}: truncated: no table of contents at {table_place:,}")
+        raise InputError(f"{path}: truncated: no table of contents at {table_place:,}")
     zstandard = require(path)
     packed: Packed = {}
     for name, width in header.widths.items():
@@ -234,26 +234,26 @@ def _read_streams(
         if name in stored:
             held, unpacked = TABLE_ENTRY.unpack_from(table, TABLE_ENTRY.size * len(packed))
             if unpacked != sizes[name]:
-                raise SceneError(
+                raise InputError(
                     f"{path}: {unpacked:,} bytes of {name}, expected {sizes[name]:,} for "
                     f"{header.splats:,} splats"
                 )
             if held > size - stream.tell():
-                raise SceneError(
+                raise InputError(
                     f"{path}: truncated: {held:,} bytes of {name} expected, "
                     f"{size - stream.tell():,} left"
                 )
             frame = stream.read(held)
             try:
                 if zstandard.frame_content_size(frame) not in (-1, unpacked):
-                    raise SceneError(f"{path}: {name}: its frame and the table disagree in size")
+                    raise InputError(f"{path}: {name}: its frame and the table disagree in size")
                 data = zstandard.ZstdDecompressor().decompress(frame, max_output_size=unpacked)
             except zstandard.ZstdError as error:
-                raise SceneError(
+                raise InputError(
                     f"{path}: {name}: broken Zstandard frame: {shown(error)}"
                 ) from error
             if len(data) != unpacked:
-                raise SceneError(
+                raise InputError(
                     f"{path}: {name}: {len(data):,} bytes unpacked, expected {unpacked:,}"
                 )
         packed[name] = np.frombuffer(data, np.uint8).reshape(header.splats, width)
@@ -267,10 +267,10 @@ def _header_4(path: Path, stream: BinaryIO) -> tuple[Header, int]:
     header = _header(path, stream.read(HEADER.size), range(4, 5))
     place = stream.read(TABLE_PLACE.size)
     if len(place) < TABLE_PLACE.size:
-        raise SceneError(f"{path}: truncated: no whole header")
+        raise InputError(f"{path}: truncated: no whole header")
     (table_place,) = TABLE_PLACE.unpack(place)
     if not stream.tell() <= table_place <= size_of(path):
-        raise SceneError(f"{path}: table of contents at {table_place:,}: not in the file")
+        raise InputError(f"{path}: table of contents at {table_place:,}: not in the file")
     return header, table_place
 
 
@@ -280,22 +280,22 @@ def _system(path: Path, stream: BinaryIO) -> str:
     while header.flags & FLAG_EXTENSIONS and stream.tell() + EXTENSION.size <= table_place:
         kind, length = EXTENSION.unpack(stream.read(EXTENSION.size))
         if length > table_place - stream.tell():
-            raise SceneError(f"{path}: extension {kind:#x} is longer than what holds them")
+            raise InputError(f"{path}: extension {kind:#x} is longer than what holds them")
         if kind == COORDINATE_SYSTEM and length == 4:
             number = int.from_bytes(stream.read(4), "little")
             if number >= len(SYSTEMS):
-                raise SceneError(f"{path}: coordinate system {number}, expected 0 to 16")
+                raise InputError(f"{path}: coordinate system {number}, expected 0 to 16")
             return SYSTEMS[number]
         stream.seek(length, 1)
     return SYSTEMS[0]
 
 
 def require(path: Path):  # type: ignore[no-untyped-def]  # a module
-    """The package that version 4 needs. Raises SceneError naming it where it is missing."""
+    """The package that version 4 needs. Raises InputError naming it where it is missing."""
     try:
         import zstandard
     except ImportError as error:  # rosdep has no key for it
-        raise SceneError(
+        raise InputError(
             f"{path}: SPZ version 4 needs the Python package zstandard: pip install zstandard"
         ) from error
     return zstandard
@@ -335,7 +335,7 @@ def _fractional_bits(path: Path, splats: Splats) -> int:
     for bits in range(FRACTIONAL_BITS, -1, -1):
         if farthest * (1 << bits) < (1 << 23) - 1:
             return bits
-    raise SceneError(f"{path}: a splat {farthest:,.0f} m from the origin: too far for SPZ")
+    raise InputError(f"{path}: a splat {farthest:,.0f} m from the origin: too far for SPZ")
 
 
 def _first_three(raw: NDArray[np.uint8]) -> Floats:

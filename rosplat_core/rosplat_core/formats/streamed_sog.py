@@ -28,7 +28,7 @@ from rosplat_core.formats.decoded import Into, IntoSplats, Made, Progress, Warn,
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
 from rosplat_core.slot_pages import MAX_SLOTS
-from rosplat_core.splats import SceneError, Splats, concatenate, sh_coefficients
+from rosplat_core.splats import InputError, Splats, concatenate, sh_coefficients
 
 NAME = "streamed SOG"
 
@@ -84,7 +84,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads all chunks at their finest, where they fit into a map."""
     scene = open_streamed(path)
     if scene.splats > MAX_SLOTS:
-        raise SceneError(
+        raise InputError(
             f"{scene.path}: {scene.splats:,} splats; a map has at most {MAX_SLOTS:,}, "
             "stream_publisher shows more"
         )
@@ -99,7 +99,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
 
 
 def read_coarsest(scene: Streamed, warn: Warn) -> Splats:
-    """The coarsest level of every chunk. Raises SceneError for a file that can't be read."""
+    """The coarsest level of every chunk. Raises InputError for a file that can't be read."""
     pieces = Pieces(scene, warn)
     parts = sorted((chunk.levels[0] for chunk in scene.chunks), key=lambda p: (p.file, p.offset))
     return concatenate([pieces.read(part) for part in parts if part.count])
@@ -108,46 +108,46 @@ def read_coarsest(scene: Streamed, warn: Warn) -> Splats:
 def open_streamed(path: Path) -> Streamed:
     """Reads a lod-meta.json, and checks its claims against its files' own meta.json.
 
-    Raises SceneError naming a file that is missing, can't be read or has fewer splats than a level
+    Raises InputError naming a file that is missing, can't be read or has fewer splats than a level
     takes from it, and for a scene without a chunk.
     """
     path = path / META if path.is_dir() else path
     if path.exists() and not recognises(path, b""):
-        raise SceneError(f"{path}: not a {META}, which a streamed SOG has")
+        raise InputError(f"{path}: not a {META}, which a streamed SOG has")
     try:
         if size_of(path) > LARGEST_META:
-            raise SceneError(f"{path}: more than {LARGEST_META:,} bytes")
+            raise InputError(f"{path}: more than {LARGEST_META:,} bytes")
         with refusing(f"{path}: broken {META}"):
             return _scene(path, json.loads(path.read_bytes()))
     except OSError as error:
-        raise SceneError(f"{path}: {error.strerror or error}") from error
+        raise InputError(f"{path}: {error.strerror or error}") from error
 
 
 def _scene(path: Path, meta: Any) -> Streamed:
     if meta.get("version", 1) != 1:
-        raise SceneError(f"{path}: version {shown(repr(meta['version']))} can't be read, only 1")
+        raise InputError(f"{path}: version {shown(repr(meta['version']))} can't be read, only 1")
     names = meta["filenames"]
     if not isinstance(names, list) or len(names) > MOST_FILES:
-        raise SceneError(f"{path}: filenames: expected a list of {MOST_FILES:,} names at most")
+        raise InputError(f"{path}: filenames: expected a list of {MOST_FILES:,} names at most")
     files = [_inside(path, name) for name in names]
     chunks: list[Chunk] = []
     nodes = [(meta["tree"], 0)]
     while nodes:
         node, depth = nodes.pop()
         if depth > DEEPEST:
-            raise SceneError(f"{path}: tree: deeper than {DEEPEST}")
+            raise InputError(f"{path}: tree: deeper than {DEEPEST}")
         nodes += [(child, depth + 1) for child in node.get("children") or ()]
         levels = [_part(path, level, node["lods"], len(names)) for level in _levels(node)]
         levels = [part for part in levels if part.count]
         if levels:
             low, high = (np.array(node["bound"][end], np.float64) for end in ("min", "max"))
             if low.shape != (3,) or high.shape != (3,) or not (low <= high).all():
-                raise SceneError(f"{path}: bound: expected min and max of three numbers")
+                raise InputError(f"{path}: bound: expected min and max of three numbers")
             if not (np.abs([low, high]) < FARTHEST).all():
-                raise SceneError(f"{path}: bound: a number is not finite, or beyond {FARTHEST:g} m")
+                raise InputError(f"{path}: bound: a number is not finite, or beyond {FARTHEST:g} m")
             chunks.append(Chunk(low, high, tuple(levels)))
     if not chunks:
-        raise SceneError(f"{path}: holds no splats")
+        raise InputError(f"{path}: holds no splats")
     claims = _claims(files, chunks)
     if meta.get("environment") is not None:
         files.append(_inside(path, meta["environment"]))
@@ -162,7 +162,7 @@ def _scene(path: Path, meta: Any) -> Streamed:
 
 
 def _claims(files: list[Path], chunks: list[Chunk]) -> list[sog.Claims]:
-    """Claims of the files that chunks use. Raises SceneError for one with too few splats."""
+    """Claims of the files that chunks use. Raises InputError for one with too few splats."""
     ends = dict.fromkeys(range(len(files)), 0)
     for chunk in chunks:
         for part in chunk.levels:
@@ -173,7 +173,7 @@ def _claims(files: list[Path], chunks: list[Chunk]) -> list[sog.Claims]:
             continue
         claims = sog.claims(files[file])
         if claims.splats < end:
-            raise SceneError(
+            raise InputError(
                 f"{files[file]}: holds {claims.splats:,} splats, {META} wants {end:,} of it"
             )
         found.append(claims)
@@ -190,7 +190,7 @@ def _part(path: Path, level: str, lods: Any, files: int) -> FileRange:
     for name, number in numbers.items():
         most = files - 1 if name == "file" else MAX_SLOTS
         if type(number) is not int or not 0 <= number <= most:  # true is an int, too
-            raise SceneError(
+            raise InputError(
                 f"{path}: {name} of level {shown(level)} is {shown(repr(number))}, "
                 f"expected 0 to {most:,}"
             )
@@ -198,11 +198,11 @@ def _part(path: Path, level: str, lods: Any, files: int) -> FileRange:
 
 
 def _inside(path: Path, name: Any) -> Path:
-    """A file below lod-meta.json's folder. Raises SceneError for any other name."""
+    """A file below lod-meta.json's folder. Raises InputError for any other name."""
     relative = Path(name)
     outside = relative.is_absolute() or ".." in relative.parts
     if outside or "\0" in name or len(name) > sog.LONGEST_NAME:
-        raise SceneError(f"{path}: {shown(repr(name))} is not a file below {META}")
+        raise InputError(f"{path}: {shown(repr(name))} is not a file below {META}")
     return path.parent / relative
 
 
@@ -225,14 +225,14 @@ class Pieces:
     def read(self, part: FileRange) -> Splats:
         """A level of a chunk, without splats that can't be drawn.
 
-        Raises SceneError that names the file that can't be read, and CancelledError after close().
+        Raises InputError that names the file that can't be read, and CancelledError after close().
         """
         which = slice(part.offset, part.offset + part.count)
         try:
             return self.packed(part.file).splats(which, self._warn, IntoSplats())
         except MemoryError as error:
             path = self._scene.files[part.file]
-            raise SceneError(f"{path}: too large for this machine's memory") from error
+            raise InputError(f"{path}: too large for this machine's memory") from error
 
     def packed(self, file: int) -> sog.Packed:
         """A file's splats, packed. Raises as read does."""
@@ -241,7 +241,7 @@ class Pieces:
             with self._decoding[file]:
                 return self._find(file) or self._keep(file, self._unpack(path))
         except MemoryError as error:
-            raise SceneError(f"{path}: too large for this machine's memory") from error
+            raise InputError(f"{path}: too large for this machine's memory") from error
 
     def close(self) -> None:
         """Ends decoding, also in other threads, which get CancelledError."""

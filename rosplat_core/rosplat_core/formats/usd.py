@@ -51,7 +51,7 @@ from rosplat_core.formats.decoded import (
 from rosplat_core.formats.placed import place
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
-from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients, splat_bytes
+from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients, splat_bytes
 
 NAME = "OpenUSD"
 SUFFIXES = (".usdc", ".usda", ".usdz", ".usd")
@@ -83,19 +83,19 @@ def axes(path: Path) -> Axes:
 def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads all splats of a file, in metres, where their transforms place them.
 
-    Layers of one .usdz may refer to one another. Raises SceneError for a file that is composed of
+    Layers of one .usdz may refer to one another. Raises InputError for a file that is composed of
     others.
     """
     size = size_of(path)
     with _child(path, size, progress) as (told, stream):
         fields = [_Field.of(path, field, told["meters"]) for field in told["fields"]]
         if not fields and told["nurec"]:
-            raise SceneError(
+            raise InputError(
                 f"{path}: a NuRec volume, which only Omniverse draws: 3DGRUT's export writes "
                 f"{usd_child.SPLATS} by --format standard"
             )
         if not fields:
-            raise SceneError(f"{path}: holds no {usd_child.SPLATS}")
+            raise InputError(f"{path}: holds no {usd_child.SPLATS}")
         for text in dict.fromkeys(text for field in fields for text in field.differs()):
             warn(f"{path}: {text}")
         if not told["measured"]:
@@ -139,7 +139,7 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
                 package.Save()
                 scene = Path(f"{scene}.usdz")
         except Tf.ErrorException as error:
-            raise SceneError(f"{path}: usd-core can't write it: {shown(error)}") from error
+            raise InputError(f"{path}: usd-core can't write it: {shown(error)}") from error
         with scene.open("rb") as written:
             shutil.copyfileobj(written, stream)
 
@@ -174,7 +174,7 @@ def _authored(path: Path, stage: Any, splats: Splats) -> Any:
 
 
 def require(path: Path) -> tuple[Any, ...]:
-    """Modules of usd-core for writing. Raises SceneError naming it where it is missing."""
+    """Modules of usd-core for writing. Raises InputError naming it where it is missing."""
     try:
         from pxr import Sdf, Tf, Usd, UsdGeom, Vt
     except ImportError as error:  # rosdep has no key for it
@@ -182,8 +182,8 @@ def require(path: Path) -> tuple[Any, ...]:
     return Sdf, Tf, Usd, UsdGeom, Vt
 
 
-def _lacking(path: Path) -> SceneError:
-    return SceneError(f"{path}: OpenUSD needs the Python package usd-core: pip install usd-core")
+def _lacking(path: Path) -> InputError:
+    return InputError(f"{path}: OpenUSD needs the Python package usd-core: pip install usd-core")
 
 
 def _extent(splats: Splats) -> NDArray[np.float32]:
@@ -209,7 +209,7 @@ def _up(path: Path, modified: int, size: int) -> str:
 def _child(
     path: Path, size: int, progress: Progress, metadata_only: bool = False
 ) -> Iterator[tuple[dict[str, Any], IO[bytes]]]:
-    """Yields usd_child's JSON on a file of size [bytes], and its arrays. Raises SceneError."""
+    """Yields usd_child's JSON on a file of size [bytes], and its arrays. Raises InputError."""
     if importlib.util.find_spec("pxr") is None:
         raise _lacking(path)
     arguments = [str(path.absolute()), str(NEEDED + unpackable(size))]
@@ -230,13 +230,13 @@ def _child(
                 progress(0.0)  # may raise, which ends the child
             line = stream.readline(LONGEST_HEADER)
             if not line.endswith(b"\n"):
-                raise SceneError(
+                raise InputError(
                     f"{path}: broken, or it claims more memory than {size:,} bytes may"
                 )
             told = json.loads(line)
             if "error" in told:
                 reason = " ".join(told["error"].replace(f"{path.absolute()}:", "line ").split())
-                raise SceneError(f"{path}: {shown(reason, 300)}")
+                raise InputError(f"{path}: {shown(reason, 300)}")
             yield told, stream
         finally:
             child.kill()
@@ -259,16 +259,16 @@ class _Field(NamedTuple):
 
     @classmethod
     def of(cls, path: Path, told: Any, meters: float) -> _Field:
-        """Raises SceneError for a transform that is not finite, or a degree out of range."""
+        """Raises InputError for a transform that is not finite, or a degree out of range."""
         pose = np.diag([meters] * 3 + [1]) @ np.array(told["pose"], np.float64).T
         if not np.isfinite(pose).all():
-            raise SceneError(f"{path}: {shown(told['path'])}: its transform is not finite")
+            raise InputError(f"{path}: {shown(told['path'])}: its transform is not finite")
         arrays = [array and (np.dtype(array[0]), int(array[1])) for array in told["arrays"]]
         positions, harmonics = arrays[0], arrays[-1]
         count = positions[1] if positions else 0
         degree = told["degree"] if told["degree"] is not None else MAX_SH_DEGREE
         if not 0 <= degree <= HIGHEST_DEGREE:
-            raise SceneError(
+            raise InputError(
                 f"{path}: {shown(told['path'])}: SH degree {degree}, expected 0 to {HIGHEST_DEGREE}"
             )
         stored = sh_coefficients(degree)
@@ -322,5 +322,5 @@ def _fill(path: Path, columns: Columns, field: _Field, stream: IO[bytes]) -> Non
 def _numbers(path: Path, stream: IO[bytes], dtype: np.dtype[Any], count: int) -> NDArray[Any]:
     data = stream.read(count * dtype.itemsize)
     if len(data) < count * dtype.itemsize:
-        raise SceneError(f"{path}: broken: usd-core ended while it read")
+        raise InputError(f"{path}: broken: usd-core ended while it read")
     return np.frombuffer(data, dtype)

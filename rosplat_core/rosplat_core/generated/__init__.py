@@ -12,7 +12,7 @@ from rosplat_core.generated.garden import Garden
 from rosplat_core.generated.rooms import Rooms
 from rosplat_core.generated.surfaces import quaternions
 from rosplat_core.slot_pages import MAX_SLOTS
-from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats
+from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats
 
 SCENES: dict[str, type[Garden] | type[Rooms]] = {"garden": Garden, "rooms": Rooms}
 
@@ -30,7 +30,7 @@ def generate(
     """Makes one of SCENES of exactly count splats, the same for the same arguments.
 
     Their order is random, as a trained map's is: any part of them shows all of the scene, thinner.
-    progress is called with 0 to 1; what it raises ends the work. Raises SceneError for a count
+    progress is called with 0 to 1; what it raises ends the work. Raises InputError for a count
     below 1 or beyond what a map holds, a seed below 0, or an sh_degree outside 0 to 3.
     """
     return generate_into(IntoSplats(), count, seed, sh_degree, progress, scene)
@@ -41,11 +41,11 @@ def generate_into(
 ) -> Made:
     """As generate, with splats of the kind that `into` makes."""
     if not 1 <= count <= MAX_SLOTS:
-        raise SceneError(f"count is {count:,}, expected 1 to {MAX_SLOTS:,}, as many as a map holds")
+        raise InputError(f"count is {count:,}, expected 1 to {MAX_SLOTS:,}, as many as a map holds")
     if seed < 0:
-        raise SceneError(f"seed is {seed}, expected 0 or more")
+        raise InputError(f"seed is {seed}, expected 0 or more")
     if not 0 <= sh_degree <= MAX_SH_DEGREE:
-        raise SceneError(f"SH degree is {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
+        raise InputError(f"SH degree is {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
     rng = np.random.default_rng(seed)
     shares, makers = zip(*SCENES[scene](rng).parts(), strict=True)
     ends = np.round(np.cumsum(shares) * count).astype(int)

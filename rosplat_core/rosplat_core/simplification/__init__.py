@@ -11,7 +11,7 @@ import numpy as np
 from rosplat_core.cameras import Camera
 from rosplat_core.formats.decoded import Columns, told_drops, usable
 from rosplat_core.program.progress import watched_tasks
-from rosplat_core.splats import SceneError, Splats, check_splats
+from rosplat_core.splats import InputError, Splats, check_splats
 
 _log = logging.getLogger(__name__)
 
@@ -34,7 +34,7 @@ def simplify(
     cameras: a path, if only views along it matter; splats that these miss least are left out.
     margin: most distance of such views from the path [m], by default a quarter of the way to the
     nearest splats. A terminal shows a bar. Splats that can't be drawn are dropped, with a warning
-    in the log, as loading drops them. Raises SceneError for an empty map or path, a number of
+    in the log, as loading drops them. Raises InputError for an empty map or path, a number of
     another kind, a negative margin, and unless exactly one of psnr and max_splats is given, above
     0.
     """
@@ -46,15 +46,15 @@ def simplify(
         ("margin", margin, Real, "metres"), ("refine", refine, Real, "seconds"),
     ):  # fmt: skip
         if value is not None and not isinstance(value, kind):
-            raise SceneError(f"simplify: {name} is {value!r}, expected {expected}")
+            raise InputError(f"simplify: {name} is {value!r}, expected {expected}")
     bound = psnr if max_splats is None else max_splats
     if bound is None or (psnr is None) == (max_splats is None) or not bound > 0:
-        raise SceneError(f"simplify: give psnr or max_splats, above 0; got {psnr} and {max_splats}")
+        raise InputError(f"simplify: give psnr or max_splats, above 0; got {psnr} and {max_splats}")
     if margin is not None and not margin >= 0:
-        raise SceneError(f"simplify: margin is {margin}, expected a distance in metres, 0 or more")
+        raise InputError(f"simplify: margin is {margin}, expected a distance in metres, 0 or more")
     splats = _drawn(splats)
     if not len(splats):
-        raise SceneError("simplify: the map has no splats")
+        raise InputError("simplify: the map has no splats")
     with watched_tasks() as tell:
         work = Simplification(splats, tell, cameras, margin)
         if psnr is not None:

@@ -37,7 +37,7 @@ from rosplat_core.simplification.merging import (
 )
 from rosplat_core.simplification.refitting import MOST_STEPS, refit
 from rosplat_core.simplification.views import HEIGHT, WIDTH, Along, Around, Views, resized
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 
 PIXELS = 640 * 360  # of a view for contributions: more views gain more than more pixels
 VALUES = 3 * PIXELS
@@ -77,9 +77,9 @@ class Learnt:
     """
 
     def __init__(self, trial: Trial, places: Views) -> None:
-        """Raises SceneError where no camera of a path sees a splat, whatever its neighbours see."""
+        """Raises InputError where no camera of a path sees a splat, whatever its neighbours see."""
         if places.path and not any(_look(trial, camera).weight.any() for camera in places.path):
-            raise SceneError(
+            raise InputError(
                 "no camera of the path sees a splat: is it in the scene's coordinates?"
             )
         self._splats, self._places = trial.splats, places

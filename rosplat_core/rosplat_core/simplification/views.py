@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from rosplat_core.cameras import Camera, Place, look_at, place
 from rosplat_core.first_look import sample, views_within
 from rosplat_core.simplification.merging import in_chunks
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_core.upright import find_up
 
 Point = NDArray[np.float64]
@@ -45,14 +45,14 @@ GOLDEN = (math.sqrt(5) - 1) / 2
 def whereabouts(splats: Splats) -> Place:
     """Where the bulk of the splats is; its radius is at least two typical scales of a splat.
 
-    Raises SceneError where it is too wide, or too far from zero, for a camera to look at.
+    Raises InputError where it is too wide, or too far from zero, for a camera to look at.
     """
     here = place(splats)
     away = float(np.abs(here.centre).max())
     if here.radius > WIDEST:
-        raise SceneError(f"the scene is {2 * here.radius:.1g} m wide: no camera can look at it")
+        raise InputError(f"the scene is {2 * here.radius:.1g} m wide: no camera can look at it")
     if away > REMOTEST * here.radius:
-        raise SceneError(
+        raise InputError(
             f"the scene is {2 * here.radius:.1g} m wide and {away:.1g} m from zero: "
             "no camera can look at it"
         )
@@ -90,7 +90,7 @@ class Around:
     complete: bool = False
 
     def __init__(self, splats: Splats) -> None:
-        """Raises SceneError, as whereabouts."""
+        """Raises InputError, as whereabouts."""
         self._here = whereabouts(splats)
         self.path: list[Camera] = []
         radius = self._here.radius
@@ -165,10 +165,10 @@ class Along:
 
     def __init__(self, splats: Splats, path: Sequence[Camera], margin: float | None = None) -> None:
         """margin: most distance of neighbours from the path [m], by default MARGIN of the median
-        distance from the path to the nearest opaque splats. Raises SceneError for an empty path.
+        distance from the path to the nearest opaque splats. Raises InputError for an empty path.
         """
         if not path:
-            raise SceneError("the path has no camera")
+            raise InputError("the path has no camera")
         self.path = path = [resized(camera, WIDTH * HEIGHT) for camera in path]
         away, free = _clearances(splats, np.array([camera.position for camera in path]))
         self.margin: float | None = MARGIN * float(np.median(free)) if margin is None else margin

@@ -19,7 +19,7 @@ from rich.table import Table
 
 from rosplat_core.program.output import told, unheard
 from rosplat_core.scenes import NAMES, check_scene
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_lab import machine
 from rosplat_lab.arguments import make_folder, number, sized
 from rosplat_lab.bench import live
@@ -99,7 +99,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _measure(arguments, console)
     except BrokenPipeError as error:  # of rich before 13.8
         unheard(error)
-    except (SceneError, RecordError, OSError) as error:
+    except (InputError, RecordError, OSError) as error:
         print(f"bench: {told(error)}", file=sys.stderr)
         return 1
 
@@ -153,7 +153,7 @@ def _measure(arguments: list[str], console: Console) -> int:
         recorder = Recorder(name, options.out / f"{name}.json", here)
         try:
             follow(events, recorder, name, console)
-        except (SceneError, ProcessError, RuntimeError, AssertionError, OSError) as error:
+        except (InputError, ProcessError, RuntimeError, AssertionError, OSError) as error:
             console.print(f"[red]{name} ended early: {escape(str(error))}", soft_wrap=True)
             failed = True
         finally:

@@ -16,7 +16,7 @@ from rosplat_core import rendering
 from rosplat_core.cameras import Camera, Place, place
 from rosplat_core.models import Model
 from rosplat_core.scenes import ROOMS
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_lab import machine
 from rosplat_lab.bench import embedded, live, renderers, scenes, streaming, truths
 from rosplat_lab.bench.isolation import isolated
@@ -102,7 +102,7 @@ def measure(plan: Plan) -> Iterator[Event]:
     known = variants().keys() | RENDERERS.keys()
     if unknown := set(plan.variants) - known:
         names = ", ".join(sorted(known))
-        raise SceneError(f"unknown variant '{unknown.pop()}', known are {names}")
+        raise InputError(f"unknown variant '{unknown.pop()}', known are {names}")
     try:
         with ensure_display():
             (drawing,) = isolated(embedded.hardware)

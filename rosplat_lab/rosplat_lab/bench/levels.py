@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_lab.bench import embedded, scenes
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
@@ -57,7 +57,7 @@ def _drawers(plan: Plan) -> Iterator[Sequence[str]]:
 
     if unknown := set(plan.variants) - DRAWERS.keys():
         known = ", ".join(DRAWERS)
-        raise SceneError(f"unknown variant '{unknown.pop()}', known are {known}")
+        raise InputError(f"unknown variant '{unknown.pop()}', known are {known}")
     if plan.variants == ("processor",):
         yield plan.variants
         return

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_lab import machine
 from rosplat_lab.bench import records
 from rosplat_lab.bench.line import Line
@@ -181,7 +181,7 @@ def backends(asked: Sequence[str], *own: str) -> tuple[list[str], list[records.S
     """Backends that run here, and why others don't; own: the viewer's GPU, PROCESSOR.
 
     A backend that needs a GPU runs with an NVIDIA one, or where it is asked for by name. Raises
-    SceneError for an unknown name.
+    InputError for an unknown name.
     """
     names = list(asked or BACKENDS)
     if not asked:
@@ -190,7 +190,7 @@ def backends(asked: Sequence[str], *own: str) -> tuple[list[str], list[records.S
     found, missing = [], []
     for name in names:
         if name not in (*BACKENDS, *own):
-            raise SceneError(f"unknown backend '{name}', known are {', '.join((*BACKENDS, *own))}")
+            raise InputError(f"unknown backend '{name}', known are {', '.join((*BACKENDS, *own))}")
         try:
             if name in BACKENDS:
                 open_backend(name, gpu_only=BACKENDS[name].gpu and not asked)

@@ -19,7 +19,7 @@ from PIL import Image
 
 from rosplat_core import formats
 from rosplat_core.cameras import Camera, Place, look_at, place
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_lab import driven_rviz, machine, metrics
 from rosplat_lab.bench import mouse, scenes
 from rosplat_lab.bench.plan import Plan
@@ -78,15 +78,15 @@ def _picture(plan: Plan) -> tuple[int, int]:
 
 
 def read_displays(path: Path) -> list[Display]:
-    """The displays of a YAML file: a list, as `Displays` of an .rviz file. Raises SceneError."""
+    """The displays of a YAML file: a list, as `Displays` of an .rviz file. Raises InputError."""
     try:
         entries = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise SceneError(f"{path}: {error.strerror or error}") from error
+        raise InputError(f"{path}: {error.strerror or error}") from error
     except (ValueError, yaml.YAMLError) as error:
-        raise SceneError(f"{path}: not YAML: {error}") from error
+        raise InputError(f"{path}: not YAML: {error}") from error
     if not (isinstance(entries, list) and entries and all(map(_is_display, entries))):
-        raise SceneError(f"{path}: expected a list of displays, each with Class and Name")
+        raise InputError(f"{path}: expected a list of displays, each with Class and Name")
     return entries
 
 

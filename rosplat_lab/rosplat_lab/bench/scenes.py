@@ -19,7 +19,7 @@ PICTURES = ((1280, 720), (1920, 1080))
 
 
 def load(name: str) -> Splats:
-    """A scene by its name, as publishers send it. Raises SceneError."""
+    """A scene by its name, as publishers send it. Raises InputError."""
     splats = load_scene(name, lambda _: None, lambda _: None)
     put_in_slot_order(splats)
     return splats

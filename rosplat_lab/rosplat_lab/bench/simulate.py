@@ -18,7 +18,7 @@ from ament_index_python.packages import get_package_share_directory
 from rosplat_core.generated.rooms import Rooms
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.scenes import ROOMS
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_core.upright import find_up
 from rosplat_lab.bench import scenes
 from rosplat_lab.bench.isolation import isolated
@@ -48,7 +48,7 @@ def measure(plan: Plan) -> Iterator[Event]:
     """Milliseconds, also of a core, of a picture and of physics; errors and time of a lidar."""
     try:
         load_mujoco()
-    except SceneError as error:
+    except InputError as error:
         yield Skipped(f"robots: {error}")
         return
     rooms = [f"{ROOMS}{size}" for size in plan.sizes or (QUICK_SIZES if plan.quick else SIZES)]

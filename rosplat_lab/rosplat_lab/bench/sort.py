@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rosplat_core import depth, rendering
 from rosplat_core.ordering import view_of
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_core.view import SortView
 from rosplat_lab.bench import baselines, live, scenes
 from rosplat_lab.bench.plan import Plan
@@ -84,7 +84,7 @@ def methods(
         if name in (live.GPU, live.PROCESSOR):
             continue  # the viewer's, which `frame` measures
         if name not in BACKENDS:
-            raise SceneError(f"unknown backend '{name}', known are {', '.join(BACKENDS)}")
+            raise InputError(f"unknown backend '{name}', known are {', '.join(BACKENDS)}")
         if name == "native" and len(os.sched_getaffinity(0)) > 1:
             found.append(("native, 1 thread", partial(_ours, sorted_map, name, 1)))
         found.append((name, partial(_ours, sorted_map, name, 0)))

@@ -17,7 +17,7 @@ from rosplat_core import rendering
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.formats.streamed_sog import Pieces, Streamed, open_streamed
 from rosplat_core.posed_camera import PosedCamera
-from rosplat_core.splats import SceneError, concatenate, splat_bytes
+from rosplat_core.splats import InputError, concatenate, splat_bytes
 from rosplat_lab import machine, metrics
 from rosplat_lab.bench import streamed_gardens
 from rosplat_lab.bench.isolation import isolated
@@ -256,7 +256,7 @@ def _truth(scene: Streamed, camera: Camera) -> Array:
         if level != NOTHING
     ]
     if not parts:
-        raise SceneError(f"{scene.path}: the camera sees none of its chunks")
+        raise InputError(f"{scene.path}: the camera sees none of its chunks")
     parts.sort(key=lambda part: (part.file, part.offset))
     renderer = CpuRenderer()
     rendering.insert_all(renderer, concatenate([pieces.read(part) for part in parts]))

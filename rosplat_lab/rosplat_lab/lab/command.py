@@ -18,7 +18,7 @@ from rich.console import Console
 
 from rosplat_core.program.output import say, told
 from rosplat_core.scenes import NAMES, PROCEDURAL, check_scene
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_lab.arguments import make_folder
 from rosplat_lab.bench.command import Recorder, circumstances, follow
 from rosplat_lab.bench.plan import FULL_BUDGET, QUICK_BUDGET, Plan
@@ -63,7 +63,7 @@ def main(arguments: list[str] | None = None) -> int:
             recorder = Recorder("atlas", options.out / "atlas.json", here)
             follow(atlas.measure(plan), recorder, "atlas", console)
         _write(options.out, options.docs, keep=options.part != "pages")
-    except (SceneError, RecordError, RuntimeError, OSError, MemoryError) as error:
+    except (InputError, RecordError, RuntimeError, OSError, MemoryError) as error:
         print(f"lab: {told(error)}", file=sys.stderr)
         return 1
     return 0

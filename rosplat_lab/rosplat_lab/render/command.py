@@ -28,7 +28,7 @@ from rosplat_core.models import Model
 from rosplat_core.program.files import replacing, write_text
 from rosplat_core.program.output import say, told
 from rosplat_core.scenes import NAMES, check_scene
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_lab.arguments import make_folder
 from rosplat_lab.machine import commit, machine
 from rosplat_lab.metrics import LEAST_SIDE, compare
@@ -157,39 +157,39 @@ def _call(
 
 
 def check(path: Path, cameras: Sequence[Camera]) -> None:
-    """Raises SceneError for cameras of a file that can't be drawn, or held against their images."""
+    """Raises InputError for cameras of a file that can't be drawn, or held against their images."""
     if not cameras:
-        raise SceneError(f"{path}: holds no cameras")
+        raise InputError(f"{path}: holds no cameras")
     first: dict[int, int] = {}
     for index, camera in enumerate(cameras):
         where = f"{path}: camera {index}"
         if first.setdefault(camera.id, index) != index:
-            raise SceneError(f"{where}: id {camera.id} is that of camera {first[camera.id]}")
+            raise InputError(f"{where}: id {camera.id} is that of camera {first[camera.id]}")
         size = f"{camera.width}x{camera.height}"
         if (
             max(camera.width, camera.height) > LONGEST_SIDE
             or camera.width * camera.height > MOST_PIXELS
         ):
-            raise SceneError(
+            raise InputError(
                 f"{where}: {size}, expected sides of at most {LONGEST_SIDE} "
                 f"and {MOST_PIXELS:,} pixels"
             )
         if picture := picture_of(path, camera):
             try:
                 height, width = _pixels(picture).shape[:2]
-            except SceneError as error:
-                raise SceneError(f"{where}: {error}") from error
+            except InputError as error:
+                raise InputError(f"{where}: {error}") from error
             if (width, height) != (camera.width, camera.height):
-                raise SceneError(f"{where}: {camera.image} is {width}x{height}, expected {size}")
+                raise InputError(f"{where}: {camera.image} is {width}x{height}, expected {size}")
             if min(width, height) < LEAST_SIDE:
-                raise SceneError(
+                raise InputError(
                     f"{where}: {camera.image} is {size}, expected sides of at least {LEAST_SIDE} "
                     "to compare"
                 )
 
 
 def read_picture(path: Path) -> NDArray[np.float64]:
-    """(height, width, 3) RGB of a picture file, 8 or 16 bit, scaled to 0..1. Raises SceneError."""
+    """(height, width, 3) RGB of a picture file, 8 or 16 bit, scaled to 0..1. Raises InputError."""
     pixels = _pixels(path)
     return pixels[..., ::-1] / np.iinfo(pixels.dtype).max
 
@@ -198,11 +198,11 @@ def _pixels(path: Path) -> NDArray[np.unsignedinteger]:
     try:
         data = np.frombuffer(path.read_bytes(), np.uint8)
     except (OSError, ValueError) as error:  # ValueError: no name of a file
-        raise SceneError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
     pixels = cv2.imdecode(data, flags) if len(data) else None
     if pixels is None:
-        raise SceneError(f"{path}: not a picture")
+        raise InputError(f"{path}: not a picture")
     return pixels  # type: ignore[return-value]
 
 

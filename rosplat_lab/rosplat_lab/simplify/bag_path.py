@@ -10,7 +10,7 @@ from geometry_msgs.msg import PoseArray, PoseStamped
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.poses import to_matrix, to_pose
 from rosplat_tools import bags
 
@@ -24,14 +24,14 @@ KINDS: dict[str, type] = {
 def poses(bag: str, topic: str) -> list[NDArray[np.float64]]:
     """Poses (4, 4) of a topic. An empty topic stands for the only one that has poses.
 
-    Raises SceneError, naming bag and topic.
+    Raises InputError, naming bag and topic.
     """
     known = {name: KINDS[kind] for name, kind in bags.topics(bag).items() if kind in KINDS}
     if not topic and len(known) == 1:
         topic = next(iter(known))
     if topic not in known:
         listed = ", ".join(sorted(known)) or "none"
-        raise SceneError(f"{bag}: give a topic of poses, as {bag}:TOPIC; it has {listed}")
+        raise InputError(f"{bag}: give a topic of poses, as {bag}:TOPIC; it has {listed}")
     try:
         found = [
             to_matrix(to_pose(pose))
@@ -39,9 +39,9 @@ def poses(bag: str, topic: str) -> list[NDArray[np.float64]]:
             for pose in _poses_of(message)
         ]
     except ValueError as error:
-        raise SceneError(f"{bag}: {topic}: {error}") from error
+        raise InputError(f"{bag}: {topic}: {error}") from error
     if not found:
-        raise SceneError(f"{bag}: {topic} holds no poses")
+        raise InputError(f"{bag}: {topic} holds no poses")
     return found
 
 

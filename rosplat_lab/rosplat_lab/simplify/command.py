@@ -33,7 +33,7 @@ from rosplat_core.simplification.judging import SHARE, Quality, Trial
 from rosplat_core.simplification.search import FRESH, LEARNT, Simplification
 from rosplat_core.simplification.views import CHECKED, HEIGHT, MARGIN, WIDTH, whereabouts
 from rosplat_core.slot_order import put_in_slot_order
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_lab.arguments import number, sized, whole
 from rosplat_lab.machine import commit, machine, peak_bytes
 from rosplat_lab.simplify import worst_view
@@ -77,7 +77,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         _simplify(options, shlex.join(["simplify", *arguments]))
-    except (SceneError, OSError, MemoryError) as error:
+    except (InputError, OSError, MemoryError) as error:
         print(f"simplify: {told(error)}", file=sys.stderr)
         return 1
     return 0
@@ -156,31 +156,31 @@ def _decibels(text: str) -> float:
 def _simplify(options: argparse.Namespace, command: str) -> None:
     bounds = (options.psnr, options.max_splats, options.max_bytes)
     if bounds == (None, None, None):
-        raise SceneError("what for? Give --psnr, --max-splats or --max-bytes")
+        raise InputError("what for? Give --psnr, --max-splats or --max-bytes")
     out = Path(options.output)
     check_output(out, options.overwrite)
     if out.exists() and _same(out, Path(options.input)):
-        raise SceneError(f"{out}: is the scene itself")
+        raise InputError(f"{out}: is the scene itself")
     for file in filter(None, (options.report, options.picture)):
         _check_beside(file, options)
     if options.picture and options.picture.suffix not in worst_view.ENDINGS:
         endings = " or ".join(worst_view.ENDINGS)
-        raise SceneError(f"{options.picture}: a picture ends in {endings}")
+        raise InputError(f"{options.picture}: a picture ends in {endings}")
     with _folder_beside(out):
         pass  # refuses now, not after all the work
     path = along(options.cameras, options.trajectory)
     if path is None and options.margin is not None:
-        raise SceneError("--margin is of a path: give --cameras")
+        raise InputError("--margin is of a path: give --cameras")
     began = time.monotonic()
     with watched("reading") as progress:
         splats = load_scene(options.input, progress, _warn)
         put_in_slot_order(splats)
     if options.refine > 0 and splats.model not in (Model.EWA, Model.EWA_ANTIALIASED):
-        raise SceneError(f"--refine: only EWA can be refitted; {options.input} is {splats.model}")
+        raise InputError(f"--refine: only EWA can be refitted; {options.input} is {splats.model}")
     try:
         whereabouts(splats)
-    except SceneError as error:
-        raise SceneError(f"{options.input}: {error}") from error
+    except InputError as error:
+        raise InputError(f"{options.input}: {error}") from error
     read, processor = time.monotonic(), time.process_time()
     with ExitStack() as drafts, watched_tasks() as tell:
         output = Output(out, drafts)
@@ -240,18 +240,18 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
 
 
 def _check_beside(report: Path, options: argparse.Namespace) -> None:
-    """Raises SceneError, before any work, where a file can't be written, or would be a loss."""
+    """Raises InputError, before any work, where a file can't be written, or would be a loss."""
     if not report.parent.is_dir():
-        raise SceneError(f"{report}: {report.parent} is no folder")
+        raise InputError(f"{report}: {report.parent} is no folder")
     if report.exists() and not report.is_file():
-        raise SceneError(f"{report}: is no file that could be replaced")
+        raise InputError(f"{report}: is no file that could be replaced")
     bag = str(options.trajectory or "").partition(":")[0]  # of BAG:TOPIC
     for file in (options.input, options.output, options.cameras, options.trajectory, bag):
         inside = report.exists() and Path(file or report).resolve() in report.resolve().parents
         if file and (inside or _same(report, Path(file))):
-            raise SceneError(f"{report}: is an input, or the output")
+            raise InputError(f"{report}: is an input, or the output")
     if report.exists() and not options.overwrite:
-        raise SceneError(f"{report}: exists already (--overwrite replaces it)")
+        raise InputError(f"{report}: exists already (--overwrite replaces it)")
 
 
 def _same(one: Path, other: Path) -> bool:
@@ -276,7 +276,7 @@ def _within(
     max_bytes: int | None,
     refine: float,
 ) -> Written:
-    """Brings a map within its bounds; returns what its file will hold. Raises SceneError."""
+    """Brings a map within its bounds; returns what its file will hold. Raises InputError."""
     every = work.splats
     splats, size = max_splats or len(every), max_bytes or sys.maxsize
     if psnr is None:
@@ -292,11 +292,11 @@ def _within(
     needed = f"{psnr:g} dB take {len(written.splats):,} splats in {written.bytes:,} bytes"
     written = _as_small_as(work, output, splats, size)
     less = work.judge(written.splats).psnr
-    raise SceneError(f"{output.path}: {needed}; {len(written.splats):,} splats have {less:.1f} dB")
+    raise InputError(f"{output.path}: {needed}; {len(written.splats):,} splats have {less:.1f} dB")
 
 
 def _as_good_as(work: Simplification, every: Splats, output: Output, psnr: float) -> Written:
-    """Few splats of a PSNR. Raises SceneError if the format can't have it, or all are needed."""
+    """Few splats of a PSNR. Raises InputError if the format can't have it, or all are needed."""
     bound = psnr
     of_all: float | None = None  # PSNR of the whole map in this format [dB]
     for _ in range(TRIES):
@@ -311,7 +311,7 @@ def _as_good_as(work: Simplification, every: Splats, output: Output, psnr: float
         if of_all is None:
             of_all = work.judge(output.write(every).splats).psnr
         if of_all < psnr:
-            raise SceneError(
+            raise InputError(
                 f"{output.path}: {psnr:g} dB can't be had: "
                 f"its format keeps {of_all:.1f} dB of the whole map"
             )
@@ -324,7 +324,7 @@ def _as_good_as(work: Simplification, every: Splats, output: Output, psnr: float
     if len(every) > 1:
         work.reduce(len(every) - 1)
         could = f": {len(work.splats):,} have {work.judge(work.splats).psnr:.1f} dB"
-    raise SceneError(
+    raise InputError(
         f"{output.path}: none of {len(every):,} splats can be spared at {psnr:g} dB{could}"
     )
 
@@ -346,7 +346,7 @@ def _refitted(work: Simplification, output: Output, psnr: float, seconds: float)
 
 
 def _as_small_as(work: Simplification, output: Output, splats: int, size: int) -> Written:
-    """At most so many splats, whose file is of at most so many bytes. Raises SceneError."""
+    """At most so many splats, whose file is of at most so many bytes. Raises InputError."""
     work.reduce(splats)
     for _ in range(TRIES):
         written = output.write(work.splats)
@@ -355,7 +355,7 @@ def _as_small_as(work: Simplification, output: Output, splats: int, size: int) -
         if len(work.splats) == 1:
             break
         work.reduce(max(1, int((1 - SPARE) * len(work.splats) * size / written.bytes)))
-    raise SceneError(
+    raise InputError(
         f"{output.path}: {len(work.splats):,} splats take {written.bytes:,} bytes, "
         f"more than {size:,}"
     )
@@ -363,11 +363,11 @@ def _as_small_as(work: Simplification, output: Output, splats: int, size: int) -
 
 @contextmanager
 def _folder_beside(out: Path) -> Iterator[Path]:
-    """A folder for a draft, as long as it is needed. Raises SceneError where there is none."""
+    """A folder for a draft, as long as it is needed. Raises InputError where there is none."""
     try:
         folder = tempfile.TemporaryDirectory(prefix=".simplify-", dir=out.parent)
     except OSError as error:
-        raise SceneError(
+        raise InputError(
             f"{out}: nothing can be written to {out.parent}: {error.strerror}"
         ) from error
     with folder as name:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 ENDINGS = (".png", ".jpg")
 WIDTH = 640  # of each of the three parts [px]
@@ -18,7 +18,7 @@ TIMES = 8  # by which differences are shown
 def write(path: Path, whole: NDArray[np.float32], left: NDArray[np.float32]) -> None:
     """Writes, side by side, a view of the whole scene, of what is left, and TIMES the difference.
 
-    whole, left: (height, width, 3), 0 to 1. Raises SceneError when the file can't be written.
+    whole, left: (height, width, 3), 0 to 1. Raises InputError when the file can't be written.
     """
     height = round(WIDTH * whole.shape[0] / whole.shape[1])
     parts = [
@@ -29,4 +29,4 @@ def write(path: Path, whole: NDArray[np.float32], left: NDArray[np.float32]) -> 
     try:
         path.write_bytes(cv2.imencode(path.suffix, rgb[..., ::-1])[1].tobytes())
     except OSError as error:
-        raise SceneError(f"{path}: {error.strerror or error}") from error
+        raise InputError(f"{path}: {error.strerror or error}") from error

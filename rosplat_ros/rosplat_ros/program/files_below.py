@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 
 def check_below(parameter: str, root: str, path: str) -> None:
-    """Raises SceneError unless path is below root, links followed. An empty root allows none."""
+    """Raises InputError unless path is below root, links followed. An empty root allows none."""
     try:
         if root and Path(path).resolve().is_relative_to(Path(root).resolve()):
             return
@@ -17,4 +17,4 @@ def check_below(parameter: str, root: str, path: str) -> None:
     why = f"not below {root}, its parameter {parameter}"
     if not root:
         why = f"none is allowed; set the parameter {parameter} to a folder above it"
-    raise SceneError(f"{path}: refused: {why}")
+    raise InputError(f"{path}: refused: {why}")

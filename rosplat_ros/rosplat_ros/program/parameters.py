@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.messages import COMPRESSIONS, NONE
 
 
@@ -26,7 +26,7 @@ def declare(
 ) -> Any:
     """Declares a read-only parameter, a number from low to high if given; returns its value.
 
-    A whole number is taken for a float. Raises SceneError for no value, one of another type or one
+    A whole number is taken for a float. Raises InputError for no value, one of another type or one
     out of range.
     """
     descriptor = ParameterDescriptor(description=description, read_only=True)
@@ -41,47 +41,47 @@ def declare(
     try:
         value = node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-        raise SceneError(str(error)) from error
+        raise InputError(str(error)) from error
     if value is None:  # rclpy makes None of an empty list, whatever the type
-        raise SceneError(f"parameter {name}: has no value")
+        raise InputError(f"parameter {name}: has no value")
     return value
 
 
 def declare_path(node: Node, name: str, default: str, description: str) -> str:
     """Declares a parameter that names a file or a folder; ~ stands for the user's folder.
 
-    Raises SceneError as `declare`.
+    Raises InputError as `declare`.
     """
     return os.path.expanduser(declare(node, name, default, description))
 
 
 def declare_compression(node: Node) -> str:
-    """Declares `compression`, for MapPublisher. Raises SceneError for one that is not known."""
+    """Declares `compression`, for MapPublisher. Raises InputError for one that is not known."""
     known = ", ".join(COMPRESSIONS)
     description = f"How splats travel: {known}; for subscribers beyond a network."
     compression: str = declare(node, "compression", NONE, description)
     if compression not in COMPRESSIONS:
-        raise SceneError(f"compression: expected one of {known}, got '{shown(compression)}'")
+        raise InputError(f"compression: expected one of {known}, got '{shown(compression)}'")
     return compression
 
 
 def declare_model(node: Node) -> Model | None:
-    """Declares `model`, None for the scene's own. Raises SceneError for one that is not known."""
+    """Declares `model`, None for the scene's own. Raises InputError for one that is not known."""
     known = ", ".join(map(str, Model))
     description = f"How splats become pixels: {known}; empty: as the scene says, or ewa."
     name: str = declare(node, "model", "", description)
     if name not in ("", *map(str, Model)):
-        raise SceneError(f"model: expected one of {known}, got '{shown(name)}'")
+        raise InputError(f"model: expected one of {known}, got '{shown(name)}'")
     return Model.of(name) if name else None
 
 
 def declare_clip(node: Node) -> tuple[float, float]:
     """Declares `near` and `far` of a camera, and returns both. [m]
 
-    Raises SceneError where nothing is between them.
+    Raises InputError where nothing is between them.
     """
     near: float = declare(node, "near", 0.01, "Splats nearer are left out. [m]", 1e-4, 1e6)
     far: float = declare(node, "far", 1e6, "Splats farther are left out. [m]", 1e-3, 1e10)
     if not near < far:
-        raise SceneError(f"parameters near, far: {near} is not less than {far}")
+        raise InputError(f"parameters near, far: {near} is not less than {far}")
     return near, far

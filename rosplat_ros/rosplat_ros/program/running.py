@@ -28,7 +28,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from rosplat_core.program.output import told
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.program.arguments import take_ros_arguments_only
 from rosplat_ros.program.memory import give_back_large_blocks
 from rosplat_ros.program.middleware import prepare_fast_dds
@@ -52,7 +52,7 @@ class Cancelled(Exception):
 def run(program: str, body: Callable[[], None]) -> None:
     """Runs body with ROS set up until it returns, or SIGINT or SIGTERM interrupts it.
 
-    A SceneError, RuntimeError, OSError or MemoryError ends the program by a line, with code 1, as
+    A InputError, RuntimeError, OSError or MemoryError ends the program by a line, with code 1, as
     does a parameter of a wrong type, even use_sim_time, which rclpy reads.
     """
     _run(program, body, body.__module__)
@@ -90,7 +90,7 @@ def _run(program: str, body: Callable[[], None], module: str, usage: str = "") -
     except (KeyboardInterrupt, Cancelled, ExternalShutdownException):
         pass
     except (
-        SceneError, RuntimeError, OSError, MemoryError,
+        InputError, RuntimeError, OSError, MemoryError,
         InvalidParameterTypeException, InvalidParameterValueException,
     ) as error:  # fmt: skip
         print(f"{program}: {told(error)}", file=sys.stderr)

@@ -22,7 +22,7 @@ from std_msgs.msg import Header
 
 from rosplat_core.lenses import Straightened
 from rosplat_core.log_text import shown
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_msgs.srv import Align
 from rosplat_ros.diagnostics import Diagnostics
 from rosplat_ros.poses import to_matrix, to_pose
@@ -56,13 +56,13 @@ class AlignNode(Node):
     """Callbacks only hand data over; align() draws."""
 
     def __init__(self) -> None:
-        """Raises SceneError for a parameter that makes no sense."""
+        """Raises InputError for a parameter that makes no sense."""
         super().__init__("align")
         self._child: str = declare(
             self, "broadcast", "", "Frame that TF has at the refined pose, empty: none."
         )
         if self._child and TFMessage is None:
-            raise SceneError("parameter broadcast: tf2_msgs is not installed")
+            raise InputError("parameter broadcast: tf2_msgs is not installed")
         self._patience: float = declare(
             self, "patience", 5.0, "Time after which no other try at a picture begins. [s]"
         )

@@ -17,7 +17,7 @@ from sensor_msgs.msg import CameraInfo
 
 from rosplat_core.lenses import F_THETA, Lens, LensError
 from rosplat_core.log_text import shown
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 # By field of CameraInfo: the key in the file, and how many numbers there are.
 _MATRICES = {
@@ -80,20 +80,20 @@ def _check_window(info: CameraInfo) -> None:
 def load(path: str) -> CameraInfo:
     """Reads a calibration: YAML of camera_calibration, or JSON of an f-theta camera.
 
-    Raises SceneError, naming the file and the key.
+    Raises InputError, naming the file and the key.
     """
     kind, parse = ("JSON", json.loads) if path.endswith(".json") else ("YAML", yaml.safe_load)
     try:
         content = parse(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
-        raise SceneError(f"{shown(path)}: {error.strerror or error}") from error
+        raise InputError(f"{shown(path)}: {error.strerror or error}") from error
     except (ValueError, yaml.YAMLError) as error:  # of UTF-8, of a date, of too many digits
-        raise SceneError(f"{shown(path)}: no {kind}: {shown(error, 200)}") from error
+        raise InputError(f"{shown(path)}: no {kind}: {shown(error, 200)}") from error
     try:
         info = _read(content)
         lens_of(info)
     except LensError as error:
-        raise SceneError(f"{shown(path)}: {error}") from error
+        raise InputError(f"{shown(path)}: {error}") from error
     return info
 
 

@@ -22,7 +22,7 @@ from std_msgs.msg import Header
 from rosplat_core.lens_pictures import DEPTHS, LensPicture, take_picture
 from rosplat_core.lenses import Lens, Warp
 from rosplat_core.log_text import shown
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.diagnostics import Diagnostics
 from rosplat_ros.images import to_bytes, to_image
 from rosplat_ros.program.parameters import declare, declare_clip, declare_path
@@ -45,7 +45,7 @@ class CameraNode(Node):
     """Holds one map for all of its cameras. Callbacks only hand data over; film() draws."""
 
     def __init__(self) -> None:
-        """Raises SceneError for a parameter that makes no sense."""
+        """Raises InputError for a parameter that makes no sense."""
         super().__init__("camera")
         names = declare(self, "cameras", ["camera"], "Names of the cameras.")
         rate = declare(
@@ -60,10 +60,10 @@ class CameraNode(Node):
         depth = declare(self, "depth", DEPTHS[0], "Which depth: " + ", ".join(DEPTHS))
         wellformed = all(name.isidentifier() and name.isascii() for name in names)
         if len(set(names)) < len(names) or not wellformed:
-            raise SceneError(f"parameter cameras: expected names, each once, got {names}")
+            raise InputError(f"parameter cameras: expected names, each once, got {names}")
         if depth not in DEPTHS:
             known = ", ".join(DEPTHS)
-            raise SceneError(f"parameter depth: expected one of {known}, got '{shown(depth)}'")
+            raise InputError(f"parameter depth: expected one of {known}, got '{shown(depth)}'")
         self._map = DrawnMap(self)
         poses = declare_poses(self, names, self._map.came.set)
         self._cameras = [

@@ -19,7 +19,7 @@ from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.scenes import NAMES, load_scene
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_msgs.msg import Comparison, GaussianArray
 from rosplat_ros.images import read_mask
 from rosplat_ros.poses import to_matrix, to_pose
@@ -46,7 +46,7 @@ class Bag:
     """A bag's pictures, their lens and poses, and the map: of --scene, or as the bag leaves it."""
 
     def __init__(self, options: argparse.Namespace) -> None:
-        """Reads all but the pictures. Raises SceneError."""
+        """Reads all but the pictures. Raises InputError."""
         self.path: str = options.bag
         self._topics = bags.topics(self.path)
         self.image = self._topic(options.image, Image, "--image")
@@ -66,7 +66,7 @@ class Bag:
                 splats = load_scene(options.scene, progress, lambda text: None)
             self.renderer = CpuRenderer(splats)
         if not self.renderer.map.splats:
-            raise SceneError(f"{shown(self.path)}: {self._map} has no map")
+            raise InputError(f"{shown(self.path)}: {self._map} has no map")
         if self._map:
             self._check_map()
 
@@ -80,13 +80,13 @@ class Bag:
         what = kind.__name__
         listed = f"it has {', '.join(sorted(known))}" if known else "it has none"
         asked = f"no {what} on {shown(name)}" if name else f"which {what}? Give {option}"
-        raise SceneError(f"{shown(self.path)}: {asked}: {listed}")
+        raise InputError(f"{shown(self.path)}: {asked}: {listed}")
 
     def _transforms(self) -> Frames:
         try:
             return Frames(keeps=ALWAYS)
-        except SceneError as error:
-            raise SceneError(f"{error}: give --pose, a topic of PoseStamped") from error
+        except InputError as error:
+            raise InputError(f"{error}: give --pose, a topic of PoseStamped") from error
 
     def _read(self) -> None:
         kinds: dict[str, type] = {self._info: CameraInfo}
@@ -110,7 +110,7 @@ class Bag:
             try:
                 self.renderer.apply(message)
             except ValueError as error:
-                raise SceneError(f"{shown(self.path)}: {topic}: {error}") from error
+                raise InputError(f"{shown(self.path)}: {topic}: {error}") from error
             if message.operation == GaussianArray.REPLACE:
                 self._announced = False
             self._announced |= self.renderer.map.complete  # splats may be deleted later
@@ -122,12 +122,12 @@ class Bag:
             try:
                 self._poses.add(nanoseconds(message.header.stamp), to_matrix(to_pose(message.pose)))
             except ValueError as error:
-                raise SceneError(f"{shown(self.path)}: {topic}: {error}") from error
+                raise InputError(f"{shown(self.path)}: {topic}: {error}") from error
 
     def _check_map(self) -> None:
         books, where = self.renderer.map, f"{shown(self.path)}: {self._map}"
         if books.missed:
-            raise SceneError(
+            raise InputError(
                 f"{where}: the map lacks {counted(books.missed, 'batch', 'batches')}: record it "
                 f"from its beginning or with {self._map}/repeat, or give --scene"
             )
@@ -203,7 +203,7 @@ def main(arguments: list[str] | None = None) -> int:
         bag = Bag(options)
         reader = PictureReader(Warp, rectified=options.rectified, mask=mask)
         figures, left_out = compare_all(bag, reader)
-    except (SceneError, MemoryError) as error:
+    except (InputError, MemoryError) as error:
         print(f"compare: {told(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -11,7 +11,7 @@ from rosplat_core.cameras import Camera, load_cameras, load_trajectory
 from rosplat_core.lenses import Straightened
 from rosplat_core.relocalisation import Relocaliser
 from rosplat_core.rendering import CpuRenderer
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_tools.cameras.health import NoPicture
 from rosplat_tools.cameras.refining import Refined, drawn
 from rosplat_tools.cameras.taken_pictures import Taken
@@ -23,7 +23,7 @@ class Places:
     """Poses of a file. Keeps their thumbnails while the map and the lens stay the same."""
 
     def __init__(self, path: str) -> None:
-        """path: a camera file, a trajectory if it ends with .txt, or empty. Raises SceneError."""
+        """path: a camera file, a trajectory if it ends with .txt, or empty. Raises InputError."""
         cameras: list[Camera] = []
         if path:
             # Of a trajectory's camera, the pose alone counts.
@@ -31,7 +31,7 @@ class Places:
             trajectory = Path(path).suffix == ".txt"
             cameras = load_trajectory(path, any_lens) if trajectory else load_cameras(path)
             if not cameras:
-                raise SceneError(f"{path}: holds no cameras")
+                raise InputError(f"{path}: holds no cameras")
         some = cameras[:: -(-len(cameras) // MOST_PLACES) or 1]
         self._poses = [camera.world_to_camera for camera in some]
         self._drawn: tuple[object, ...] = ()

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from rosplat_core.log_text import shown
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.poses import to_matrix, to_pose
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.qos import overridable
@@ -40,7 +40,7 @@ class Poses(Protocol):
 def declare_poses(node: Node, cameras: list[str], heard: Callable[[], None]) -> Poses:
     """Declares `poses`. heard: called for each pose that comes by a topic.
 
-    Raises SceneError for a source that is unknown, or not installed.
+    Raises InputError for a source that is unknown, or not installed.
     """
     source = declare(
         node, "poses", "tf", "Source of cameras' poses: tf, or topic, PoseStampeds on NAME/pose."
@@ -48,11 +48,11 @@ def declare_poses(node: Node, cameras: list[str], heard: Callable[[], None]) -> 
     if source == "topic":
         return TopicPoses(node, cameras, heard)
     if source != "tf":
-        raise SceneError(f"parameter poses: expected tf or topic, got '{shown(source)}'")
+        raise InputError(f"parameter poses: expected tf or topic, got '{shown(source)}'")
     try:
         return TfPoses(Frames(node))
-    except SceneError as error:
-        raise SceneError(f"parameter poses: {error}: install it, or set poses:=topic") from error
+    except InputError as error:
+        raise InputError(f"parameter poses: {error}: install it, or set poses:=topic") from error
 
 
 class TopicPoses:

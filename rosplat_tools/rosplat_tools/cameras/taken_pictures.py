@@ -126,7 +126,7 @@ class TakenPictures(Generic[Optics]):
     def __init__(self, node: Node, drawn_map: DrawnMap, prepare: Callable[[Lens], Optics]) -> None:
         """prepare: called once with each lens; may raise LensError.
 
-        Declares poses, rectified, mask, near and far. Raises SceneError.
+        Declares poses, rectified, mask, near and far. Raises InputError.
         """
         rectified = declare(node, "rectified", False, "Pictures are rectified, by r and p.")
         mask = declare_path(node, "mask", "", "Picture file, black where pixels don't count.")

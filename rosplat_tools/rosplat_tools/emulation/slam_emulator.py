@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from rosplat_core.log_text import shown
 from rosplat_core.scenes import NAMES, PROCEDURAL, load_scene
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.map_publisher import MapPublisher
 from rosplat_ros.program.parameters import declare, declare_compression, declare_path
 from rosplat_ros.program.running import run_node
@@ -23,7 +23,7 @@ class SlamEmulator(Node):
     """Publishes one edit of `gaussians` a tick; keeps the finished map for latecomers."""
 
     def __init__(self) -> None:
-        """Loads the scene and starts the timer. Raises SceneError."""
+        """Loads the scene and starts the timer. Raises InputError."""
         self._bar = tqdm(disable=True)  # first: since Kilted, half-made nodes are destroyed, too
         super().__init__("slam_emulator")
         path = declare_path(self, "path", f"{PROCEDURAL}500000", f"Scene to arrive at: {NAMES}.")
@@ -55,7 +55,7 @@ class SlamEmulator(Node):
             self._scene = with_keyframes(scene, self._plan["batch_size"])
             self._edits = edits(self._scene, **self._plan)
         except ValueError as error:
-            raise SceneError(str(error)) from error
+            raise InputError(str(error)) from error
         self._map = MapPublisher(
             self,
             frame_id=frame_id,

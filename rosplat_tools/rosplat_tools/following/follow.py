@@ -22,7 +22,7 @@ from rclpy.qos import QoSProfile
 
 from rosplat_core.log_text import shown
 from rosplat_core.scenes import load_scene
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_ros.map_publisher import MapPublisher
 from rosplat_ros.messages import plain_frame
 from rosplat_ros.program.parameters import declare, declare_compression, declare_path
@@ -79,7 +79,7 @@ class Follow(Node):
             try:
                 if reader.take(message):
                     self._heard[name] = reader
-            except SceneError as error:
+            except InputError as error:
                 self._refuse(error)
 
         LatchedSubscription(self, message, kind.TOPIC, hear, QoSProfile(depth=kind.DEPTH))
@@ -103,7 +103,7 @@ class Follow(Node):
             return
         try:
             splats = load_scene(str(version.path), self._go_on, self.get_logger().warning)
-        except SceneError as error:
+        except InputError as error:
             self._refuse(error)  # a file that is being written isn't whole
             return
         if self._file.is_still(version):

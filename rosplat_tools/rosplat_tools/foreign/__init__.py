@@ -22,7 +22,7 @@ from rosplat_core.splats import Splats
 
 
 class Reader(Protocol):
-    """Makes a map of messages. Both methods raise SceneError, naming topic and field."""
+    """Makes a map of messages. Both methods raise InputError, naming topic and field."""
 
     frame_id: str
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 MOST = 4  # payloads that may be incomplete at once: of an author that stopped, say
 
@@ -19,12 +19,12 @@ class Chunks:
         self._coming: dict[Hashable, dict[int, bytes]] = {}
 
     def take(self, key: Hashable, message: Any, most: int = MOST) -> bytes | None:
-        """The payload of `key` once all of its chunks are there. Raises SceneError."""
+        """The payload of `key` once all of its chunks are there. Raises InputError."""
         index, count = message.chunk_index, message.chunk_count
         if index >= count:
-            raise SceneError(f"{self._name}: chunk_index: {index} of a chunk_count of {count}")
+            raise InputError(f"{self._name}: chunk_index: {index} of a chunk_count of {count}")
         if message.compression not in ("", "none"):
-            raise SceneError(f"{self._name}: compression: '{message.compression}' is not known")
+            raise InputError(f"{self._name}: compression: '{message.compression}' is not known")
         parts = self._coming.setdefault(key, {})
         parts[index] = bytes(message.data)
         if len(parts) < count:
@@ -34,7 +34,7 @@ class Chunks:
         del self._coming[key]
         payload = b"".join(parts[i] for i in sorted(parts))
         if message.uncompressed_size not in (0, len(payload)):
-            raise SceneError(
+            raise InputError(
                 f"{self._name}: uncompressed_size: {message.uncompressed_size}, and "
                 f"{len(payload)} bytes came"
             )

@@ -12,7 +12,7 @@ import numpy as np
 
 from rosplat_core.formats.decoded import Columns, IntoSplats, Warn
 from rosplat_core.harmonics import C0
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_tools.foreign.covariances import from_covariances, to_covariances
 
 NAME = "compact_dc_fp16_cov_rgba_v1"
@@ -23,9 +23,9 @@ _UPPER = np.triu_indices(3)
 
 
 def decode(data: bytes, name: str, warn: Warn) -> Splats:
-    """The splats of rows. Raises SceneError where a row is cut off."""
+    """The splats of rows. Raises InputError where a row is cut off."""
     if len(data) % ROW.itemsize:
-        raise SceneError(f"{name}: {len(data)} bytes are no rows of {ROW.itemsize}")
+        raise InputError(f"{name}: {len(data)} bytes are no rows of {ROW.itemsize}")
     rows = np.frombuffer(data, ROW)
     covariances = np.empty((len(rows), 3, 3), np.float32)
     covariances[:, _UPPER[0], _UPPER[1]] = covariances[:, _UPPER[1], _UPPER[0]] = rows["covariance"]

@@ -14,7 +14,7 @@ import numpy as np
 from std_msgs.msg import Header
 
 from rosplat_core.formats.decoded import Columns, IntoSplats, Warn
-from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, concatenate, sh_coefficients
+from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, concatenate, sh_coefficients
 from rosplat_tools.foreign import message_class
 
 TYPE = "gaussian_interface/msg/GaussianArray"
@@ -35,7 +35,7 @@ class Reader:
         self._parts: list[Splats] = []
 
     def take(self, message: Any) -> bool:
-        """Raises SceneError for an array that contradicts itself; nothing of it is added."""
+        """Raises InputError for an array that contradicts itself; nothing of it is added."""
         part = _splats(message, self._name, self._warn)
         if getattr(message, "refresh", False):  # older definitions lack it
             self._parts.clear()
@@ -78,12 +78,12 @@ def _splats(message: Any, name: str, warn: Warn) -> Splats:
     count = len(given[0].spherical_harmonics) if len(given) else 3
     if count not in _DEGREES:
         known = ", ".join(map(str, _DEGREES))
-        raise SceneError(
+        raise InputError(
             f"{name}: gaussians[0].spherical_harmonics: {count} numbers, known are {known}"
         )
     for i, splat in enumerate(given):
         if (have := len(splat.spherical_harmonics)) != count:
-            raise SceneError(
+            raise InputError(
                 f"{name}: gaussians[{i}].spherical_harmonics: {have} numbers, expected {count}"
             )
     columns = Columns(

@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 
 from rosplat_core.formats.decoded import Columns, IntoSplats, Warn
 from rosplat_core.models import Model
-from rosplat_core.splats import LOW_PASS, MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
+from rosplat_core.splats import LOW_PASS, MAX_SH_DEGREE, InputError, Splats, sh_coefficients
 from rosplat_ros.messages import as_array, plain_frame
 
 TYPE = "gaussian_splatting_msgs/msg/GaussianSplats"
@@ -31,7 +31,7 @@ class Reader:
         self._name, self._warn = name, warn
 
     def take(self, message: Any) -> bool:
-        """Raises SceneError for a message that contradicts itself."""
+        """Raises InputError for a message that contradicts itself."""
         self._splats = self._read(message)
         self.frame_id = plain_frame(message.header.frame_id)
         return True
@@ -42,9 +42,9 @@ class Reader:
 
     def _read(self, message: Any) -> Splats:
         if message.type not in (message.TYPE_3DGS, message.TYPE_2DGS):
-            raise SceneError(f"{self._name}: type: {message.type} is neither 3DGS nor 2DGS")
+            raise InputError(f"{self._name}: type: {message.type} is neither 3DGS nor 2DGS")
         if message.sh_degree > MAX_SH_DEGREE:
-            raise SceneError(
+            raise InputError(
                 f"{self._name}: sh_degree: {message.sh_degree}, at most {MAX_SH_DEGREE}"
             )
         n = len(message.means) // 3
@@ -81,7 +81,7 @@ class Reader:
     def _array(self, message: Any, field: str, n: int, width: int) -> np.ndarray:
         values = np.array(getattr(message, field), np.float32)
         if len(values) != n * width:
-            raise SceneError(
+            raise InputError(
                 f"{self._name}: {field}: {len(values)} numbers, expected {n * width} for {n} splats"
             )
         return values.reshape(n, width)

@@ -20,7 +20,7 @@ from std_msgs.msg import Header
 from rosplat_core.formats import ply
 from rosplat_core.formats.decoded import IntoSplats, Warn
 from rosplat_core.log_text import shown
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_ros.messages import as_array, plain_frame
 
 _TYPES = {
@@ -60,7 +60,7 @@ class Reader:
         self._name, self._warn = name, warn
 
     def take(self, message: PointCloud2) -> bool:
-        """Raises SceneError for a cloud without the fields, or one that contradicts itself."""
+        """Raises InputError for a cloud without the fields, or one that contradicts itself."""
         rows = _rows(message, self._name)
         path, into = Path(self._name), IntoSplats()
         self._splats = ply.from_rows(path, rows, lambda _: None, self._warn, into)
@@ -105,7 +105,7 @@ def _rows(message: PointCloud2, name: str) -> NDArray[np.void]:
         end = field.offset + count * kind.itemsize
         if end > step:
             several = f" of {count} numbers" if count > 1 else ""
-            raise SceneError(
+            raise InputError(
                 f"{name}: point_step: {step} bytes, field {shown(field.name, 40)}{several} ends "
                 f"after {end}"
             )
@@ -119,14 +119,14 @@ def _rows(message: PointCloud2, name: str) -> NDArray[np.void]:
             {"names": names, "formats": formats, "offsets": offsets, "itemsize": step}
         )
     except ValueError as error:
-        raise SceneError(f"{name}: point_step: {step} bytes: {error}") from error
+        raise InputError(f"{name}: point_step: {step} bytes: {error}") from error
     if width * step > message.row_step and height > 1:
-        raise SceneError(
+        raise InputError(
             f"{name}: row_step: {message.row_step}, for {width} points of {step} bytes"
         )
     row = message.row_step if height > 1 else width * step
     if height * row > len(message.data):
-        raise SceneError(f"{name}: data: {len(message.data)} bytes, expected {height * row}")
+        raise InputError(f"{name}: data: {len(message.data)} bytes, expected {height * row}")
     if step == 0 or width * height == 0:
         return np.zeros(0, layout)
     data = np.frombuffer(message.data, np.uint8)[: height * row].reshape(height, row)

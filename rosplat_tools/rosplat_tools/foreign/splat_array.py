@@ -14,7 +14,7 @@ from geometry_msgs.msg import Point, Pose, PoseWithCovariance, PoseWithCovarianc
 from std_msgs.msg import Header
 
 from rosplat_core.formats.decoded import Columns, IntoSplats, Warn
-from rosplat_core.splats import MAX_SH_DEGREE, SceneError, Splats, sh_coefficients
+from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients
 from rosplat_ros.messages import as_array, plain_frame
 from rosplat_tools.foreign import message_class
 from rosplat_tools.foreign.covariances import from_covariances, to_covariances
@@ -32,7 +32,7 @@ class Reader:
         self._name, self._warn = name, warn
 
     def take(self, message: Any) -> bool:
-        """Raises SceneError for an array that contradicts itself."""
+        """Raises InputError for an array that contradicts itself."""
         self._splats = _splats(message, self._name, self._warn)
         if message.splats:
             self.frame_id = plain_frame(message.splats[0].pose.header.frame_id)
@@ -72,7 +72,7 @@ def _splats(message: Any, name: str, warn: Warn) -> Splats:
     n = len(message.splats)
     degree = message.splats[0].harmonics_deg if n else 0
     if degree > MAX_SH_DEGREE:
-        raise SceneError(f"{name}: harmonics_deg: {degree}, at most {MAX_SH_DEGREE}")
+        raise InputError(f"{name}: harmonics_deg: {degree}, at most {MAX_SH_DEGREE}")
     k = sh_coefficients(degree)
     positions = np.empty((n, 3))
     covariances = np.empty((n, 3, 3))
@@ -81,7 +81,7 @@ def _splats(message: Any, name: str, warn: Warn) -> Splats:
     for i, splat in enumerate(message.splats):
         pose = splat.pose.pose
         if (have := len(splat.spherical_harmonics)) != 3 * k:
-            raise SceneError(
+            raise InputError(
                 f"{name}: splats[{i}].spherical_harmonics: {have} numbers, expected {3 * k}"
             )
         positions[i] = pose.pose.position.x, pose.pose.position.y, pose.pose.position.z

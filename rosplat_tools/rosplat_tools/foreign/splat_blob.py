@@ -16,7 +16,7 @@ from std_msgs.msg import Header
 
 from rosplat_core.formats import ply
 from rosplat_core.formats.decoded import IntoSplats, Warn
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_core.view import frame_at
 from rosplat_ros.messages import as_array, plain_frame
 from rosplat_tools.foreign import compact_rows as rows
@@ -38,7 +38,7 @@ class Reader:
         self._chunks = Chunks(name)
 
     def take(self, message: Any) -> bool:
-        """Raises SceneError for a chunk that contradicts itself, and for a file that is no map."""
+        """Raises InputError for a chunk that contradicts itself, and for a file that is no map."""
         payload = self._chunks.take((message.session_id, message.version), message)
         if payload is None:
             return False
@@ -56,14 +56,14 @@ class Reader:
         if form == rows.NAME:
             return rows.decode(payload, self._name, self._warn)
         if form not in ("ply", "ply_binary", "ply_ascii"):
-            raise SceneError(f"{self._name}: format: '{form}', known are {rows.NAME}, ply")
+            raise InputError(f"{self._name}: format: '{form}', known are {rows.NAME}, ply")
         with tempfile.NamedTemporaryFile(suffix=".ply") as file:
             file.write(payload)
             file.flush()
             try:
                 return ply.read(Path(file.name), lambda _: None, self._warn, IntoSplats())
-            except SceneError as error:
-                raise SceneError(str(error).replace(file.name, self._name)) from error
+            except InputError as error:
+                raise InputError(str(error).replace(file.name, self._name)) from error
 
     def splats(self) -> Splats:
         """The file's splats."""

@@ -13,7 +13,7 @@ import numpy as np
 from std_msgs.msg import Header
 
 from rosplat_core.formats.decoded import Warn
-from rosplat_core.splats import SceneError, Splats, concatenate
+from rosplat_core.splats import InputError, Splats, concatenate
 from rosplat_ros.messages import as_array, plain_frame
 from rosplat_tools.foreign import compact_rows as rows
 from rosplat_tools.foreign.chunks import Chunks
@@ -41,7 +41,7 @@ class Reader:
         self._chunks = Chunks(name)
 
     def take(self, message: Any) -> bool:
-        """Raises SceneError for a chunk that contradicts itself, and for a COMMIT of which parts
+        """Raises InputError for a chunk that contradicts itself, and for a COMMIT of which parts
         are missing; the map stays.
         """
         version = message.session_id, message.version
@@ -57,14 +57,14 @@ class Reader:
             self._wait(version, tile, None)
         elif operation == message.UPSERT_TILE:
             if message.encoding != rows.NAME:
-                raise SceneError(
+                raise InputError(
                     f"{self._name}: encoding: '{message.encoding}', known is {rows.NAME}"
                 )
             payload = self._chunks.take((version, tile), message, MOST_TILES)
             if payload is not None:
                 self._wait(version, tile, rows.decode(payload, self._name, self._warn))
         else:
-            raise SceneError(f"{self._name}: operation: {operation} is not known")
+            raise InputError(f"{self._name}: operation: {operation} is not known")
         return False
 
     def _wait(self, version: tuple[str, int], tile: _Key | None, splats: Splats | None) -> None:
@@ -75,7 +75,7 @@ class Reader:
     def _commit(self, version: tuple[str, int], message: Any) -> bool:
         edits = self._waiting.pop(version, [])
         if self._chunks.incomplete(lambda key: key[0] == version):
-            raise SceneError(
+            raise InputError(
                 f"{self._name}: version {version[1]} is committed, and tiles lack chunks"
             )
         for tile, splats in edits:

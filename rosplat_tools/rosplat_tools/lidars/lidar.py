@@ -36,7 +36,7 @@ class LidarNode(Node):
     """One lidar. Callbacks only hand data over; measure() measures."""
 
     def __init__(self) -> None:
-        """Raises SceneError for a parameter that makes no sense."""
+        """Raises InputError for a parameter that makes no sense."""
         super().__init__("lidar")
         self._lidar, rate = declare_lidar(self)
         self._frame_id: str = declare(self, "frame_id", "lidar", "Its frame: x forward, z up.")

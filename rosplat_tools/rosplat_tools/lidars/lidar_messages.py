@@ -11,7 +11,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.messages import as_array
 from rosplat_ros.program.parameters import declare
 from rosplat_tools.lidars.scanning import Lidar, Pattern, Scan
@@ -30,7 +30,7 @@ _TYPES = {"<f4": PointField.FLOAT32, "<u2": PointField.UINT16}
 def declare_lidar(node: Node, prefix: str = "") -> tuple[Lidar, float]:
     """Declares a lidar's parameters; returns it and how often it turns. [Hz]
 
-    Raises SceneError for parameters that make no sense.
+    Raises InputError for parameters that make no sense.
     """
 
     def of(name: str, *rest: Any) -> Any:
@@ -48,7 +48,7 @@ def declare_lidar(node: Node, prefix: str = "") -> tuple[Lidar, float]:
     farthest = of("farthest", 100.0, "Greatest range. [m]", 0.1, 1e4)
     rate = of("rate", 10.0, "Scans in a second. [Hz]", 0.1, 100.0)
     if lowest > highest or nearest >= farthest:
-        raise SceneError(
+        raise InputError(
             f"parameters {prefix}lowest, highest, nearest, farthest: {lowest:g}, {highest:g}, "
             f"{nearest:g}, {farthest:g} are no ranges"
         )

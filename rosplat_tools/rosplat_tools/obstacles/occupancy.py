@@ -38,7 +38,7 @@ from rosplat_core.occupancy import (
 )
 from rosplat_core.program.output import told
 from rosplat_core.quaternions import from_matrices
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_msgs.srv import SaveMap
 from rosplat_ros.diagnostics import Diagnostics, Report
 from rosplat_ros.program.files_below import check_below
@@ -74,7 +74,7 @@ class Occupancy(Node):
     """
 
     def __init__(self) -> None:
-        """Raises SceneError for a parameter that makes no sense."""
+        """Raises InputError for a parameter that makes no sense."""
         super().__init__("occupancy")
         resolution: float = declare(
             self, "resolution", 0.05, "Edge of a voxel, and width of a cell. [m]", 0.005, 10.0
@@ -92,7 +92,7 @@ class Occupancy(Node):
             "runs into. What is closer to height 0 than the least is floor. [m]"),
         )  # fmt: skip
         if not 0 < self._band[0] < self._band[1]:
-            raise SceneError(f"parameter band: expected 0 < least < most, got {list(self._band)}")
+            raise InputError(f"parameter band: expected 0 < least < most, got {list(self._band)}")
         self._start = _numbers(
             "start", declare(self, "start", [0.0, 0.0], "x and y of a place where the robot is "
             "or was. Free is what it reaches from there. [m]"),
@@ -114,8 +114,8 @@ class Occupancy(Node):
         self._voxels = OccupancyMap(resolution, voxels_across(size, resolution))
         try:
             self._frames = Frames(self) if self._frame or self._band_frame else None
-        except SceneError as error:
-            raise SceneError(f"frames other than the map's need TF: {error}") from error
+        except InputError as error:
+            raise InputError(f"frames other than the map's need TF: {error}") from error
         self._map_in_grid: NDArray[np.float64] = np.eye(4)
         self._level = 0.0  # height of the band's 0 in the published frame [m]
         self._places = 0  # how often the voxels were placed
@@ -269,7 +269,7 @@ class Occupancy(Node):
             field = DistanceField.of_voxels(
                 self._voxels, self._resolution, heights=(height, height)
             )
-        except SceneError as error:
+        except InputError as error:
             self._no_distances = str(error)
             return distances_message(header, np.zeros((0, 3)), np.zeros(0))
         self._no_distances = ""
@@ -292,9 +292,9 @@ class Occupancy(Node):
             path = Path(request.path)
             for file in (path, path.with_suffix(".pgm")):
                 if file.exists() and not request.overwrite:
-                    raise SceneError(f"{file}: exists already; set overwrite to replace it")
+                    raise InputError(f"{file}: exists already; set overwrite to replace it")
             if problem := self._find_problem():
-                raise SceneError(problem)
+                raise InputError(problem)
             grid = self._grid()
             path.parent.mkdir(exist_ok=True)
             save_grid(path, grid)
@@ -329,9 +329,9 @@ class _Output:
 
 
 def _numbers(name: str, values: Any) -> tuple[float, float]:
-    """A parameter of two numbers. Raises SceneError."""
+    """A parameter of two numbers. Raises InputError."""
     if len(values) != 2 or not all(map(math.isfinite, values)):
-        raise SceneError(f"parameter {name}: expected two numbers, got {list(values)}")
+        raise InputError(f"parameter {name}: expected two numbers, got {list(values)}")
     return values[0], values[1]
 
 

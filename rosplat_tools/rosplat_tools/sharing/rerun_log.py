@@ -6,7 +6,7 @@ import numpy as np
 from std_msgs.msg import Header
 
 from rosplat_core.harmonics import C0
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 
 BANDS = 16  # harmonics of degree 3, of which Rerun takes all but the first
 
@@ -15,13 +15,13 @@ class RerunLog:
     """Shows maps in a viewer of Rerun, on the timeline of their stamps."""
 
     def __init__(self, address: str) -> None:
-        """address: of a viewer; empty: starts one. Raises SceneError where there is no Rerun."""
+        """address: of a viewer; empty: starts one. Raises InputError where there is no Rerun."""
         try:
             import rerun
         except ImportError as error:
-            raise SceneError("as: rerun needs rerun-sdk 0.41 or later, of PyPI") from error
+            raise InputError("as: rerun needs rerun-sdk 0.41 or later, of PyPI") from error
         if not hasattr(rerun, "GaussianSplats3D"):
-            raise SceneError(f"as: rerun-sdk is {rerun.__version__}, expected 0.41 or later")
+            raise InputError(f"as: rerun-sdk is {rerun.__version__}, expected 0.41 or later")
         self._rerun = rerun
         rerun.init("rosplat", spawn=not address)
         if address:

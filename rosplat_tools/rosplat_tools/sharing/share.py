@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 
 from rosplat_core.log_text import shown
 from rosplat_core.rendering import CpuRenderer
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import run_node
 from rosplat_tools.foreign import TYPES, foreign, message_class
@@ -48,13 +48,13 @@ class Share(Node):
             self._message = message_class(self._kind.TYPE)
             if self._message is None:
                 package = self._kind.TYPE.partition("/")[0]
-                raise SceneError(f"as: {form} is of {package}, which isn't installed here")
+                raise InputError(f"as: {form} is of {package}, which isn't installed here")
             kept = DurabilityPolicy.TRANSIENT_LOCAL
             self._publisher = self.create_publisher(
                 self._message, self._kind.TOPIC, QoSProfile(depth=self._kind.DEPTH, durability=kept)
             )
         else:
-            raise SceneError(f"as: expected one of {known}, got '{shown(form, 40)}'")
+            raise InputError(f"as: expected one of {known}, got '{shown(form, 40)}'")
         self._came = Event()
         self._renderer = CpuRenderer()
         self._map = MapSubscriber(self, self._renderer, self._came.set)

@@ -7,38 +7,38 @@ from pathlib import Path
 from typing import Any
 
 from rosplat_core.log_text import shown
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 
 
 def load_mujoco() -> Any:
-    """The module. Raises SceneError, naming the package, where it is not installed."""
+    """The module. Raises InputError, naming the package, where it is not installed."""
     try:
         import mujoco as found  # which takes a while
     except ImportError as error:
-        raise SceneError("MuJoCo needs the Python package mujoco: pip install mujoco") from error
+        raise InputError("MuJoCo needs the Python package mujoco: pip install mujoco") from error
     return found
 
 
 def read_spec(path: str | Path) -> Any:
-    """The MjSpec of an MJCF file, to be added to and compiled. Raises SceneError, naming the file.
+    """The MjSpec of an MJCF file, to be added to and compiled. Raises InputError, naming the file.
 
     Names that are there twice are found when it is compiled.
     """
     try:
         return load_mujoco().MjSpec.from_file(str(path))
     except (ValueError, RuntimeError) as error:
-        raise SceneError(f"{path}: {_reason(error)}") from error
+        raise InputError(f"{path}: {_reason(error)}") from error
 
 
 def compiled(spec: Any, path: str | Path) -> Any:
-    """The MjModel of a spec of a file. Raises SceneError, naming the file: meshes that are missing,
+    """The MjModel of a spec of a file. Raises InputError, naming the file: meshes that are missing,
     names that are there twice, numbers that make no sense."""
     try:
         with warnings.catch_warnings():  # of attributes that are deprecated: the file's author's
             warnings.simplefilter("ignore")
             return spec.compile()
     except (ValueError, RuntimeError) as error:
-        raise SceneError(f"{path}: {_reason(error)}") from error
+        raise InputError(f"{path}: {_reason(error)}") from error
 
 
 def _reason(error: Exception) -> str:

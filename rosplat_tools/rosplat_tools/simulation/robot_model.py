@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rosplat_core.first_look import sample
 from rosplat_core.occupancy import RESOLUTION
 from rosplat_core.rigid import placed
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_core.upright import standing_pose
 from rosplat_tools.simulation.physics import compiled, load_mujoco, read_spec
 from rosplat_tools.simulation.solids import (
@@ -49,7 +49,7 @@ class RobotModel:
         """pose: (4, 4) of the solids in the file's world [m]. objects: by name, further ones that
         move freely, in the same frame.
 
-        Raises SceneError, naming the file, for one that MuJoCo can't read whole.
+        Raises InputError, naming the file, for one that MuJoCo can't read whole.
         """
         mujoco = load_mujoco()
         mujoco.set_mju_user_warning(lambda text: None)  # else it writes a file; step() tells
@@ -198,7 +198,7 @@ def put_in_map(
     up (3,): the map's vertical. start: x, y [m] and yaw [rad] in the map that stands upright, or
     the nearest place with room. resolution: edge of voxels [m]. objects: by name, further splats in
     the map's coordinates, each of which is a body that moves freely; its voxels are half as wide,
-    and its hollows solid. Raises SceneError.
+    and its hollows solid. Raises InputError.
     """
     standing = standing_pose(sample(splats), up)
     boxes = solids(splats, standing, resolution)
@@ -206,7 +206,7 @@ def put_in_map(
     for name, thing in (objects or {}).items():
         things[name] = solids(thing, standing, resolution / 2, filled=True)
         if not len(things[name]):
-            raise SceneError(f"object {name}: nothing of it is solid")
+            raise InputError(f"object {name}: nothing of it is solid")
     x, y, yaw = start
     found = free_place(boxes, (x, y))
     place = found or (x, y, 0.0)
@@ -224,11 +224,11 @@ def put_in_map(
 def robot_file(name: str, folder: Path) -> Path:
     """The MJCF file of a robot: one of the folder by its name, or any by its path.
 
-    Raises SceneError for one that is not there, naming those that are.
+    Raises InputError for one that is not there, naming those that are.
     """
     own = folder / f"{name}.xml"
     path = own if own.is_file() else Path(name).expanduser()
     if not path.is_file():
         known = ", ".join(sorted(each.stem for each in folder.glob("*.xml")))
-        raise SceneError(f"robot '{name}': expected {known}, or an MJCF file")
+        raise InputError(f"robot '{name}': expected {known}, or an MJCF file")
     return path

@@ -27,7 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 from rosplat_core.formats import load
 from rosplat_core.log_text import counted, shown
 from rosplat_core.occupancy import RESOLUTION
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_msgs.msg import FirstView
 from rosplat_ros.diagnostics import Diagnostics, Report
 from rosplat_ros.map_publisher import MapPublisher
@@ -67,7 +67,7 @@ class Simulate(Node):
     """Simulates one robot. Callbacks set what is wanted; simulate() does it."""
 
     def __init__(self) -> None:
-        """Raises SceneError for a parameter that makes no sense, and where MuJoCo is missing."""
+        """Raises InputError for a parameter that makes no sense, and where MuJoCo is missing."""
         super().__init__("simulate")
         folder = Path(get_package_share_directory("rosplat_tools")) / "robots"
         self._file = robot_file(
@@ -78,7 +78,7 @@ class Simulate(Node):
             "x, y [m] and yaw [rad] in the upright map, or the nearest place with room.",
         )  # fmt: skip
         if len(start) != 3 or not np.isfinite(start).all():
-            raise SceneError(f"parameter start: expected x, y and yaw, got {list(start)}")
+            raise InputError(f"parameter start: expected x, y and yaw, got {list(start)}")
         self._start: tuple[float, float, float] = (start[0], start[1], start[2])
         compiled(read_spec(self._file), self._file)  # or else it ends here, before there is a map
         self._objects = _objects(
@@ -187,13 +187,13 @@ class Simulate(Node):
             try:
                 self._put()
                 return True
-            except SceneError as error:
+            except InputError as error:
                 problem = str(error)
         self._problem.say(f"the robot waits: {problem}")
         return False
 
     def _put(self) -> None:
-        """Makes the model anew, in the map as it is now. Raises SceneError."""
+        """Makes the model anew, in the map as it is now. Raises InputError."""
         began = time.monotonic()
         _, splats = self._map.renderer.snapshot()
         standing = put_in_map(
@@ -341,12 +341,12 @@ class _Bodies:
 
 
 def _objects(files: list[str]) -> dict[str, Splats]:
-    """Splats of scene files, by names that are theirs without the ending. Raises SceneError."""
+    """Splats of scene files, by names that are theirs without the ending. Raises InputError."""
     found: dict[str, Splats] = {}
     for file in filter(None, files):
         name = Path(file).stem
         if name in found:
-            raise SceneError(f"parameter objects: two are named {shown(name)}")
+            raise InputError(f"parameter objects: two are named {shown(name)}")
         found[name] = load(file)
     return found
 

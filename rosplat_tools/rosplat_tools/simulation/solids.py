@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rosplat_core.occupancy import RESOLUTION, depth_of, hollows, occupied_by
 from rosplat_core.program.files import write_text
 from rosplat_core.quaternions import from_matrices
-from rosplat_core.splats import SceneError, Splats
+from rosplat_core.splats import InputError, Splats
 from rosplat_tools.simulation.physics import load_mujoco
 
 LIGHT = 0.5  # least share that an occupied voxel takes away
@@ -65,7 +65,7 @@ def solids(
     """The solid parts of a map, in the frame that `pose` (4, 4) [m] is in, with z up.
 
     resolution: edge of a voxel [m]. filled: what surfaces enclose on all sides is solid, too.
-    Raises SceneError for more than this takes.
+    Raises InputError for more than this takes.
     """
     voxels = occupied_by(splats, pose, resolution)
     surface = voxels.surface(depth_of(LIGHT))
@@ -76,7 +76,7 @@ def solids(
         positions = np.concatenate([positions, (inside + 0.5) * resolution])
     boxes = _fitted(cells, positions / resolution, *_fewest(cells))
     if len(boxes) > MOST_BOXES:
-        raise SceneError(f"{len(boxes):,} boxes: choose a coarser resolution than {resolution:g} m")
+        raise InputError(f"{len(boxes):,} boxes: choose a coarser resolution than {resolution:g} m")
     return Boxes(boxes.low * resolution, boxes.high * resolution)
 
 
@@ -196,7 +196,7 @@ def save_solids(path: str | Path, boxes: Boxes, pose: Array, scene: str) -> None
     """Writes boxes as MJCF, to be included or attached, or simulated as it is.
 
     pose: (4, 4) of the scene's own coordinates among them [m], which a site named map has. Raises
-    SceneError.
+    InputError.
     """
     lines = [
         '<mujoco model="map">',
@@ -216,7 +216,7 @@ def save_solids(path: str | Path, boxes: Boxes, pose: Array, scene: str) -> None
     try:
         write_text(Path(path), "\n".join(lines))
     except OSError as error:
-        raise SceneError(f"{path}: {error.strerror or error}") from error
+        raise InputError(f"{path}: {error.strerror or error}") from error
 
 
 def _quaternion(pose: Array) -> Array:

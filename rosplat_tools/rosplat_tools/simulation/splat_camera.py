@@ -66,7 +66,7 @@ class SplatCamera:
         distances between which things are drawn [m].
 
         Where nothing draws with OpenGL, pictures are of the map alone, and `problem` says why.
-        Raises ValueError for a pose that is none and a body that there is not, SceneError where
+        Raises ValueError for a pose that is none and a body that there is not, InputError where
         MuJoCo is not installed.
         """
         self._mj = load_mujoco()

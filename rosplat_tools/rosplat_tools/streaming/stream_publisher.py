@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rosplat_core.formats.streamed_sog import open_streamed, read_coarsest
 from rosplat_core.log_text import shown
 from rosplat_core.posed_camera import CameraError, PosedCamera
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_msgs.msg import GaussianArray, ViewCamera
 from rosplat_ros.map_publisher import MapPublisher
 from rosplat_ros.program.parameters import declare, declare_compression, declare_path
@@ -49,14 +49,14 @@ class StreamPublisher(Node):
         first_views = FirstViews(self, frame_id)
         compression = declare_compression(self)
         if not path:
-            raise SceneError("parameter path: expected a streamed SOG's lod-meta.json, got none")
+            raise InputError("parameter path: expected a streamed SOG's lod-meta.json, got none")
         scene = open_streamed(Path(path))
         self._views: dict[str, FollowedView] = {}
         self._looked = threading.Event()
         try:
             coarsest = read_coarsest(scene, self.get_logger().warning)
             first_views.offer(first_views.find(path, coarsest))
-        except SceneError as error:  # of one chunk: the others are shown
+        except InputError as error:  # of one chunk: the others are shown
             self.get_logger().warning(f"no first view is found: {error}")
         publisher = MapPublisher(self, frame_id=frame_id, compression=compression)
         self._map = StreamedMap(
@@ -78,7 +78,7 @@ class StreamPublisher(Node):
             self._looked.clear()
             try:
                 changed = self._map.step(self._seen())
-            except SceneError as error:
+            except InputError as error:
                 self.get_logger().error(f"a chunk is left out: {error}")
                 continue
             if changed:

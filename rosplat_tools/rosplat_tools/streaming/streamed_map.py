@@ -16,7 +16,7 @@ from rosplat_core.formats.decoded import Warn
 from rosplat_core.formats.streamed_sog import FileRange, Pieces, Streamed
 from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.slot_pages import MAX_SLOTS
-from rosplat_core.splats import SceneError, Splats, concatenate
+from rosplat_core.splats import InputError, Splats, concatenate
 from rosplat_tools.streaming.detail import NOTHING, Levels, choose, errors, magnification
 from rosplat_tools.streaming.slot_allocator import SlotAllocator, slots_for
 
@@ -100,7 +100,7 @@ class StreamedMap:
     def step(self, views: Sequence[PosedCamera], patience: float = 0.25) -> bool:
         """Reads what views need into the map, for `patience` [s]; returns whether more is to come.
 
-        Raises SceneError for a file that can't be read, which is not read again.
+        Raises InputError for a file that can't be read, which is not read again.
         """
         deadline = time.monotonic() + patience
         growing, shrinking = self._plan(views)
@@ -179,14 +179,14 @@ class StreamedMap:
         asked = {chunk: part for chunk, part in parts.items() if part in self._asked}
         wait({self._asked[part] for part in asked.values()}, patience, FIRST_COMPLETED)
         ready: dict[int, Splats] = {}
-        failed: SceneError | None = None
+        failed: InputError | None = None
         for chunk, part in asked.items():
             reading = self._asked.get(part)  # none of a file that was given up
             if not reading or not reading.done() or sum(map(len, ready.values())) >= TOGETHER:
                 continue
             try:
                 ready[chunk] = reading.result()
-            except SceneError as error:
+            except InputError as error:
                 self._give_up(part.file)
                 failed = error
         self._put(ready, {chunk: parts[chunk] for chunk in ready})

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rosplat_core.program.output import say
 from rosplat_core.scenes import NAMES
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.program.processes import ProcessError, Processes, quoted
 
 PROCEDURAL = "procedural:200000"
@@ -86,7 +86,7 @@ def main(arguments: list[str] | None = None) -> int:
             say(NEXT)
             for warning in processes.warnings("ply_publisher"):
                 print(f"demo: {warning}", file=sys.stderr)
-    except (ProcessError, SceneError) as error:
+    except (ProcessError, InputError) as error:
         print(f"demo: {error}", file=sys.stderr)
         return 1
     return 0

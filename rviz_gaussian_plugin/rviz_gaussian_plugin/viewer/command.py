@@ -17,7 +17,7 @@ from rclpy.executors import ExternalShutdownException
 
 from rosplat_core.program.files import replacing
 from rosplat_core.program.output import say, told
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_ros.program.running import run, spinning
 from rosplat_ros.view_cameras import view_camera
 from rviz_gaussian_plugin.offscreen import ensure_display
@@ -47,7 +47,7 @@ def show_stills(viewer: Viewer, folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise SceneError(f"parameter output: {folder}: {error.strerror}") from error
+        raise InputError(f"parameter output: {folder}: {error.strerror}") from error
     _wait_for_map(viewer)
     orbit = framed(viewer, *STILL)
     report = viewer.draw_still(view_camera(orbit.camera(*STILL)), "still", ORDER_TIMEOUT)

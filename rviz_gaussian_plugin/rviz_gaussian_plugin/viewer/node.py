@@ -20,7 +20,7 @@ from rosplat_core.first_look import FirstView as View
 from rosplat_core.log_text import counted, shown
 from rosplat_core.maps import Arrival
 from rosplat_core.rendering import OrderSource, RenderSettings
-from rosplat_core.splats import SceneError
+from rosplat_core.splats import InputError
 from rosplat_msgs.msg import FirstView, GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
 from rosplat_ros.batches import array
@@ -95,16 +95,16 @@ class Viewer(Node):
             "How much of the map is shown: full, pixels (1.5px) or splats (800k).",
         )
         if len(self.up) != 3 or not any(self.up) or not np.isfinite(self.up).all():
-            raise SceneError(f"parameter up: expected a direction of 3 numbers, got {self.up}")
+            raise InputError(f"parameter up: expected a direction of 3 numbers, got {self.up}")
         if order_source not in ORDER_SOURCES:
-            raise SceneError(
+            raise InputError(
                 f"parameter order_source: expected one of {', '.join(ORDER_SOURCES)}, "
                 f"got '{order_source}'"
             )
         try:
             RenderSettings().detail = detail
         except ValueError as error:
-            raise SceneError(f"parameter {error}") from error
+            raise InputError(f"parameter {error}") from error
         self.renderer = Renderer()
         try:
             self.renderer.settings.order = ORDER_SOURCES[order_source]
