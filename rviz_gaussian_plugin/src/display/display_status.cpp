@@ -156,10 +156,11 @@ StatusLine orderStatus(const FrameReport& frame, const std::string& view) {
 }
 
 StatusLine frameStatus(const FrameReport& frame, const std::string& view) {
-  const double time = frame.paint_time > 0 ? frame.paint_time : frame.draw_time;
-  std::string text = concat(inMs(time), " by ", frame.rasterizer);
+  // The tree shows some 28 characters: first is what a user should know first.
+  std::string text = frame.emulated ? "no graphics card draws: set Rasterizer to Auto; " : "";
+  if (frame.paint_time == 0) text += inMs(frame.draw_time) + " by ";
+  text += frame.rasterizer;
   if (frame.frame_interval > 0) text += ", every " + inMs(frame.frame_interval);
-  if (frame.emulated) text += "; no graphics card draws: set Rasterizer to Auto";
   for (const auto& [stage, time] : frame.profile) {
     text += concat(", ", stage, " ", std::setprecision(2), time * 1e3);
   }
@@ -168,7 +169,8 @@ StatusLine frameStatus(const FrameReport& frame, const std::string& view) {
 
 StatusLine pictureStatus(const FrameReport& frame, const std::string& view) {
   return {StatusProperty::Ok, nameOf("Picture", view),
-          concat(inMs(frame.picture_age), " old, its camera ", inMs(frame.camera_off), " off")};
+          concat(inMs(frame.paint_time), ", ", inMs(frame.picture_age), " old, its camera ",
+                 inMs(frame.camera_off), " off")};
 }
 
 StatusLine detailStatus(const Detail& wanted, const FrameReport& frame, std::size_t levels_bytes,

@@ -36,7 +36,7 @@ StatusLine mapStatus(const MapState& map, const Backlog& backlog);
 // What sorted a frame, and how long it took. `view` is empty for rviz's main view.
 StatusLine orderStatus(const FrameReport& frame, const std::string& view);
 StatusLine frameStatus(const FrameReport& frame, const std::string& view);
-// How old the painter's picture is that a frame showed.
+// How long the painter took for the picture that a frame showed, and how old that is.
 StatusLine pictureStatus(const FrameReport& frame, const std::string& view);
 // How much of the map was drawn, to which error, and the memory of its levels of detail.
 StatusLine detailStatus(const Detail& wanted, const FrameReport& frame, std::size_t levels_bytes,
