@@ -92,7 +92,7 @@ def test_the_sidecar_changes_its_backend(rviz: Rviz, world: World) -> None:
     rviz.set("Map", "Sidecar Backend", value="numpy")
     rviz.until_status("Map", "Sidecar", "Warn", "no sidecar")
     rviz.set("Map", "Sidecar Backend", value="As Started")
-    world.spin_until(lambda: "Sidecar" not in rviz.status("Map"))
+    rviz.until_status("Map", "Sidecar", "Warn", "No sorter publishes")  # as Order Source is Sidecar
     sorter = rviz.processes.node("rosplat_sorter", "sorter")
     try:
         for backend in ["native", "numpy"]:
