@@ -19,12 +19,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from rosplat_core.occupancy import RESOLUTION, OccupancyMap, depth_of, hollows, occupied_by
+from rosplat_core.occupancy import LIGHT, RESOLUTION, OccupancyMap, depth_of, hollows, occupied_by
 from rosplat_core.program.files import replacing
 from rosplat_core.rigid import rigid
 from rosplat_core.splats import InputError, Splats
 
-LIGHT = 0.5  # least share that an occupied voxel takes away
 MARGIN = 1.0  # around the occupied voxels, within which distances are known [m]
 MOST_VOXELS = 1 << 25  # in a field: 1.5 GB as it is made
 
@@ -71,10 +70,15 @@ class DistanceField:
         margin: float = MARGIN,
         *,
         heights: tuple[float, float] | None = None,
+        light: float = LIGHT,
         filled: bool = False,
     ) -> DistanceField:
-        """As of(), of voxels of that resolution. heights: between which z distances are wanted."""
-        surface = voxels.surface(depth_of(LIGHT))
+        """As of(), of voxels of that resolution.
+
+        heights: between which z distances are wanted [m]. light: least share of the light that an
+        occupied voxel takes away.
+        """
+        surface = voxels.surface(depth_of(light))
         cells = surface["cells"].astype(np.int64)
         points, normals = (surface[name].astype(np.float64) for name in ("positions", "normals"))
         if heights:

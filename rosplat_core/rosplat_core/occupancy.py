@@ -22,13 +22,14 @@ from rosplat_core.rendering import insert_all
 from rosplat_core.splats import InputError, Splats
 
 __all__ = [
-    "FREE", "MOST_ACROSS", "OCCUPIED", "RESOLUTION", "UNKNOWN", "Grid", "OccupancyMap", "depth_of",
-    "grid_of", "hollows", "occupied_by", "save_grid", "towards", "voxels_across",
+    "FREE", "LIGHT", "MOST_ACROSS", "OCCUPIED", "RESOLUTION", "UNKNOWN", "Grid", "OccupancyMap",
+    "depth_of", "grid_of", "hollows", "occupied_by", "save_grid", "towards", "voxels_across",
 ]  # fmt: skip
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100  # as nav_msgs/OccupancyGrid has them
 MOST_ACROSS = 4096  # voxels along an axis
 RESOLUTION = 0.05  # of voxels, where nothing else is asked for [m]
+LIGHT = 0.5  # least share that an occupied voxel takes away, likewise
 SIZE = 100.0  # of the cube around the origin that has voxels, likewise [m]
 MOST_FILLED = 1 << 28  # voxels of the box around a map whose hollows are filled
 START_REACH = 0.3  # most distance from the start to a free cell near it [m]

@@ -110,7 +110,8 @@ class Occupancy(Node):
         self._save_root = declare_path(
             self, "save_root", "", "Folder below which ~/save may write; empty: nowhere."
         )
-        self._resolution, self._least_depth = resolution, depth_of(threshold)
+        self._resolution, self._light = resolution, threshold
+        self._least_depth = depth_of(threshold)
         self._voxels = OccupancyMap(resolution, voxels_across(size, resolution))
         try:
             self._frames = Frames(self) if self._frame or self._band_frame else None
@@ -267,7 +268,7 @@ class Occupancy(Node):
         height = self._middle()
         try:
             field = DistanceField.of_voxels(
-                self._voxels, self._resolution, heights=(height, height)
+                self._voxels, self._resolution, heights=(height, height), light=self._light
             )
         except InputError as error:
             self._no_distances = str(error)

@@ -22,13 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.occupancy import RESOLUTION, depth_of, hollows, occupied_by
+from rosplat_core.occupancy import LIGHT, RESOLUTION, depth_of, hollows, occupied_by
 from rosplat_core.program.files import write_text
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.splats import InputError, Splats
 from rosplat_tools.simulation.physics import load_mujoco
 
-LIGHT = 0.5  # least share that an occupied voxel takes away
 SKIN = 0.2  # by which a box reaches beyond its surface: thin ones stop fast bodies [voxels]
 ROOM = 0.25, 0.4  # radius and height of the room that a robot needs [m]
 HIGHEST = 0.5  # ground that a robot may stand on, above the map's own [m]
