@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
+from itertools import cycle, pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core import maps, rendering
-from rosplat_core.slot_pages import SLOTS_PER_PAGE
-from rosplat_core.splats import Splats
+from rosplat_core.rendering import insert_groups, move
 from rosplat_lab.bench import embedded, scenes
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, milliseconds
-from rviz_gaussian_plugin.offscreen import Renderer
 
 SIZES, QUICK_SIZES = (5_000_000,), (20_000,)
 PICTURE, QUICK_PICTURE = (1920, 1080), (320, 180)
@@ -39,10 +36,11 @@ def _scene(name: str, picture: tuple[int, int], budget: Budget) -> Iterator[Even
     splats = scenes.load(name)
     with ensure_display():
         renderer = embedded.open_renderer()
-        revision = _insert(renderer, splats)
+        ends = [len(splats) * group // SUBMAPS for group in range(SUBMAPS + 1)]
+        revision = insert_groups(renderer, [splats[a:b] for a, b in pairwise(ends)])
         finish = embedded.gl_finish()
         view = embedded.NumberedView(renderer)
-        cameras = itertools.cycle(scenes.overview(splats, *picture, 2))
+        cameras = cycle(scenes.overview(splats, *picture, 2))
         random = np.random.default_rng(0)
 
         def draw() -> None:
@@ -56,7 +54,7 @@ def _scene(name: str, picture: tuple[int, int], budget: Budget) -> Iterator[Even
         def take() -> None:
             nonlocal revision
             revision += 1
-            _move(renderer, _poses(random), revision)
+            move(renderer, dict(enumerate(_poses(random))), revision)
 
         took: list[float] = []
 
@@ -75,24 +73,6 @@ def _scene(name: str, picture: tuple[int, int], budget: Budget) -> Iterator[Even
         renderer = view = None  # type: ignore[assignment] # before the display
 
 
-def _insert(renderer: Renderer, splats: Splats) -> int:
-    """Inserts a map of submaps, each of neighbours in space; returns its revision."""
-    revision, first = 1, 0
-    fields = {"map_id": rendering.MAP, "expected_slots": len(splats)}
-    renderer.apply(maps.batch_of(splats, slice(0), revision=revision, **fields))
-    for group in range(SUBMAPS):
-        part = slice(len(splats) * group // SUBMAPS, len(splats) * (group + 1) // SUBMAPS)
-        revision += 1
-        renderer.apply(
-            maps.batch_of(
-                splats, part, operation=maps.UPSERT, first_slot=first, revision=revision,
-                group=group, **fields,
-            )
-        )  # fmt: skip
-        first += -(-(part.stop - part.start) // SLOTS_PER_PAGE) * SLOTS_PER_PAGE
-    return revision
-
-
 def _poses(random: np.random.Generator) -> NDArray[np.float64]:
     """(SUBMAPS, 7): x y z [m] and quaternion x y z w of each, off by some drift."""
     poses = np.zeros((SUBMAPS, 7))
@@ -100,7 +80,3 @@ def _poses(random: np.random.Generator) -> NDArray[np.float64]:
     poses[:, 3:6] = random.normal(scale=TURN / 2, size=(SUBMAPS, 3))
     poses[:, 6] = 1
     return poses
-
-
-def _move(renderer: Renderer, poses: NDArray[np.float64], revision: int) -> None:
-    rendering.move(renderer, dict(enumerate(poses)), revision)
