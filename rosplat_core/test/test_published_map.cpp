@@ -9,6 +9,7 @@
 #include <numeric>
 #include <random>
 #include <stdexcept>
+#include <utility>
 #include <vector>
 
 #include "rosplat_core/map/gaussian_batch.hpp"
@@ -246,6 +247,22 @@ TEST(PublishedMap, ExpectsNoSplatThatIsLeftOut) {
   splats.positions[0] = std::nanf("");
   map.replace(splats);
   EXPECT_EQ(sent.at(0).expected_slots, 2u);
+}
+
+TEST(PublishedMap, ExpectsWhatItDidIfAReplacementCannotBeSent) {
+  std::vector<Batch> sent;
+  auto wire = wireTo(sent);
+  bool fails = false;
+  wire.send = [&, send = wire.send](Batch&& batch) {
+    if (std::exchange(fails, false)) throw std::runtime_error("no");
+    send(std::move(batch));
+  };
+  PublishedMap map(20'000, "none", wire);
+  map.replace(splatsOf(3), 5);
+  fails = true;
+  EXPECT_THROW(map.replace(splatsOf(2), 7), std::runtime_error);
+  map.upsert(3, splatsOf(1));
+  EXPECT_EQ(sent.back().expected_slots, 5u);
 }
 
 TEST(PublishedMap, LeavesOutRowsThatReceiversDrop) {

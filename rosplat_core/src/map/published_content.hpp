@@ -44,8 +44,6 @@ class PublishedContent {
     std::uint32_t next_block = 0;            // 0: that was all
   };
 
-  std::uint32_t expected_slots = 0;  // of the finished map; 0: unknown
-
   PublishedContent() = default;
   // Packed splats, which stay in their keeper's memory, in slots from 0 on.
   PublishedContent(const SplatsView& splats, const std::shared_ptr<const void>& keeper);

@@ -106,20 +106,20 @@ PublishedMap::Poses PublishedMap::poses() const {
 
 // --- Edits ---------------------------------------------------------------------------------------
 
-void PublishedMap::replace(const Splats& splats, std::optional<std::uint32_t> expected_slots,
+void PublishedMap::replace(const Splats& splats, std::optional<std::uint32_t> expected,
                            const When& stamp) {
-  replace(splats.view(), nullptr, expected_slots, stamp);
+  replace(splats.view(), nullptr, expected, stamp);
 }
 
 void PublishedMap::replace(const SplatsView& splats, const std::shared_ptr<const void>& keeper,
-                           std::optional<std::uint32_t> expected_slots, const When& stamp) {
+                           std::optional<std::uint32_t> expected, const When& stamp) {
   splats.check();
   const std::size_t n = splats.arrays.count;
   if (n > kMaxSlots) {
     throw std::invalid_argument(std::to_string(n) + " splats: a map has " +
                                 std::to_string(kMaxSlots) + " slots");
   }
-  checkNumber("expected_slots", expected_slots.value_or(0), kMaxSlots);
+  checkNumber("expected_slots", expected.value_or(0), kMaxSlots);
   const bool in_place = keeper && splats.rows;
   auto map = in_place ? std::make_unique<PublishedContent>(splats, keeper)
                       : std::make_unique<PublishedContent>();
@@ -127,14 +127,16 @@ void PublishedMap::replace(const SplatsView& splats, const std::shared_ptr<const
     const NamedSlots slots(0u, n);
     map->write(slots, splats, map->prepareWrite(slots, splats, 0), 0, 0);
   }
-  map->expected_slots = expected_slots.value_or(static_cast<std::uint32_t>(map->used()));
+  std::uint32_t announced = expected.value_or(static_cast<std::uint32_t>(map->used()));
   Lock turn(turns_), lock(mutex_);
   warnOf(n - map->used());
   std::swap(map_, map);
+  std::swap(expected_, announced);
   try {
     sendMap(turn, lock, stamp, false);
   } catch (...) {
     map_ = std::move(map);
+    expected_ = announced;
     try {  // for receivers that have got a part of the new map; if this fails, they pull
       sendMap(turn, lock, stamp, false);
     } catch (const std::exception&) {
@@ -151,7 +153,7 @@ void PublishedMap::repeat() {
 void PublishedMap::expect(std::uint32_t slots) {
   checkNumber("expected_slots", slots, kMaxSlots);
   const Lock lock(mutex_);
-  map_->expected_slots = slots;
+  expected_ = slots;
 }
 
 void PublishedMap::upsert(const Slots& slots, const Splats& splats, std::uint32_t group,
@@ -358,7 +360,7 @@ Batch PublishedMap::batch(std::uint8_t operation, const When& stamp) const {
   batch.map_id = map_id_;
   batch.revision = revision_;
   batch.operation = operation;
-  batch.expected_slots = map_->expected_slots;
+  batch.expected_slots = expected_;
   return batch;
 }
 

@@ -186,15 +186,15 @@ void definePublishing(py::module_& module) {
            })
       .def(
           "replace",
-          [](PublishedMap& map, const py::object& splats,
-             std::optional<std::uint32_t> expected_slots, const Time& stamp) {
+          [](PublishedMap& map, const py::object& splats, std::optional<std::uint32_t> expected,
+             const Time& stamp) {
             HeldSplats held(splats);
             const SplatsView view = held.view;
             const auto keeper = view.rows ? keeperOf(std::move(held)) : nullptr;
             const py::gil_scoped_release free;
-            map.replace(view, keeper, expected_slots, whenOf(stamp));
+            map.replace(view, keeper, expected, whenOf(stamp));
           },
-          "splats"_a, "expected_slots"_a, "stamp"_a)
+          "splats"_a, "expected"_a, "stamp"_a)
       .def("repeat", &PublishedMap::repeat, free)
       .def("expect", &PublishedMap::expect, "slots"_a, free)
       .def(

@@ -100,18 +100,17 @@ class PublishedMap {
   Poses poses() const;
 
   // Replaces the map by splats, in slots 0 to n - 1 and group 0, and forgets the poses of groups.
-  // expected_slots: how many slots the finished map will need, by default n without the splats that
-  // are left out. If sending fails, the previous map stays and is sent again.
-  void replace(const Splats& splats, std::optional<std::uint32_t> expected_slots = std::nullopt,
+  // expected: as of expect(), by default n without the splats that are left out. If sending fails,
+  // the previous map stays and is sent again.
+  void replace(const Splats& splats, std::optional<std::uint32_t> expected = std::nullopt,
                const When& stamp = std::nullopt);
   // keeper: owner of packed splats that the map is to use in place; they must not change then.
   void replace(const SplatsView& splats, const std::shared_ptr<const void>& keeper,
-               std::optional<std::uint32_t> expected_slots, const When& stamp);
+               std::optional<std::uint32_t> expected, const When& stamp);
   // Sends the whole map again, for listeners that can't pull, such as a recorder. Waits after each
   // batch until the subscribers have it. Other threads may edit the map meanwhile.
   void repeat();
-  // Sets expected_slots of the batches to come: how many slots the finished map will need, 0 if
-  // unknown.
+  // Announces, from the next batch on, how many slots the finished map will need, 0 if unknown.
   void expect(std::uint32_t slots);
   // Writes the i-th splat to the i-th slot, or to the i-th from first_slot on, in use or not. All
   // are in one group. Slots come in blocks of GaussianArray::SLOTS_PER_BLOCK, whose splats are of
@@ -171,6 +170,7 @@ class PublishedMap {
   mutable std::recursive_mutex mutex_;  // guards the map; free for pulls while a map is being sent
   std::uint64_t revision_ = 0;
   std::uint64_t begun_ = 0;  // revision of the last REPLACE: older clients need all of the map
+  std::uint32_t expected_ = 0;
   std::unique_ptr<PublishedContent> map_;
 };
 
