@@ -7,6 +7,8 @@ ruff check --quiet .
 git ls-files '*.cpp' '*.hpp' '*.cu' | xargs clang-format --dry-run -Werror
 reuse lint --lines
 if command -v actionlint >/dev/null; then actionlint; fi
+# mypy finds what the binding defines beside the sources that it reads.
+cp "$(find ".ros/$ROSPLAT_ROS/install/rosplat_core" -name _core.pyi)" rosplat_core/rosplat_core/
 # The parts that know no ROS. From the packages' own folders: from here, they would hide each other.
 (cd rosplat_core && mypy --config-file ../pyproject.toml --no-error-summary rosplat_core)
 export MYPYPATH=../rosplat_core

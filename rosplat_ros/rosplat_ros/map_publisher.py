@@ -262,7 +262,7 @@ class MapPublisher:
             kind = type(poses).__name__
             raise TypeError(f"poses: expected {{group: pose}}, such as {{0: pose}}, got {kind}")
         when = _checked_stamp(stamp)
-        values = {}
+        values: dict[Any, tuple[float, ...]] = {}
         for group, pose in poses.items():
             position, orientation = pose_values(to_pose(pose, f"poses[{group}]"))
             number = _whole("group", group, GaussianArray.MAX_GROUPS - 1)
