@@ -1,4 +1,5 @@
-// Counts how often each digit occurs, in all passes. Clears the passes' sums and the next sort's totals.
+// Counts how often each digit occurs, in all passes, among the keys that aren't kNone. Clears the passes' sums and the next
+// sort's totals.
 
 #pragma optionNV(unroll all)  // or NVIDIA's compiler keeps arrays in memory instead of registers
 
@@ -9,13 +10,14 @@ layout(std430) writeonly buffer NextTotals { uint next_totals[]; };  // the next
 layout(std430) writeonly buffer Sums { uint begun; uint sums[]; };   // as radix_scatter.comp has them
 
 uniform uint passes;
+uniform uint first_count;  // of the keys, with those of kNone; 0: there are none of these
 
 const uint kLanes = 512u, kAtOnce = 8u;
 
 shared uint histogram[256u * kMostPasses];
 
 void main() {
-  uint local = gl_LocalInvocationIndex, count = seen.splats.count;
+  uint local = gl_LocalInvocationIndex, count = max(first_count, seen.count);
   uint all = kLanes * workGroups(), i = kLanes * workGroup() + local;
   if (i == 0u) begun = 0u;
   for (uint k = i; k < 256u * kMostPasses; k += all) next_totals[k] = 0u;
@@ -30,6 +32,7 @@ void main() {
     for (uint k = 0u; k < kAtOnce; ++k) key[k] = keys[min(first + kLanes * k, end - 1u)];
     for (uint k = 0u; k < kAtOnce; ++k) {
       if (first + kLanes * k >= end) break;
+      if (key[k] == kNone) continue;
       for (uint pass = 0u; pass < passes; ++pass) {
         atomicAdd(histogram[256u * pass + digitOf(key[k], pass)], 1u);
       }

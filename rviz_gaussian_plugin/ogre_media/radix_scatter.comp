@@ -15,8 +15,9 @@ layout(std430) readonly buffer Totals { uint totals[]; };  // how many keys have
 layout(std430) coherent volatile buffer Sums { uint begun; uint sums[]; };  // begun: 0 between passes
 
 uniform uint pass;
-uniform bool first_pass;  // the values are 0, 1, 2...
-uniform bool last_pass;   // the sorted keys aren't needed
+uniform bool are_places;   // the values are 0, 1, 2...
+uniform uint first_count;  // of the keys, with those of kNone, which this pass leaves out; 0: there are none
+uniform bool last_pass;    // the sorted keys aren't needed
 // Where work groups can't wait for each other, a dispatch before the actual one only announces the sums.
 uniform bool announcing;
 
@@ -168,7 +169,8 @@ void sortBlock(uint block, uint count) {
   uint key[kEach], place[kEach];
   for (uint k = 0u; k < kEach; ++k) key[k] = keys[min(first + stride * k, count - 1u)];
   for (uint k = 0u; k < kEach; ++k) {
-    place[k] = takeTurn(warp, lane, digitOf(key[k], pass), first + stride * k < count);
+    if (first + stride * k >= count) key[k] = kNone;
+    place[k] = takeTurn(warp, lane, digitOf(key[k], pass), key[k] != kNone);
   }
   barrier();
   bool counts_digit = local < 256u;
@@ -181,7 +183,7 @@ void sortBlock(uint block, uint count) {
     announce(256u * block + local, here, block == 0u);
   }
   if (announcing) return;
-  uint next = groupSum(here, all), in_block = next;
+  uint size, next = groupSum(here, size), in_block = next;
   uint start = groupSum(counts_digit ? totals[256u * pass + local] : 0u, all);
   if (counts_digit) {
     for (uint pair = 0u; pair < pairs; ++pair) {
@@ -194,13 +196,13 @@ void sortBlock(uint block, uint count) {
   for (uint k = 0u; k < kEach; ++k) place[k] += turns(warp, digitOf(key[k], pass));
   barrier();
 
-  uint size = min(count - block * kBlock, kBlock), value[kEach], target[kEach];
+  uint value[kEach], target[kEach];
   for (uint k = 0u; k < kEach; ++k) {
-    if (first + stride * k < count) memory[place[k]] = key[k];
+    if (key[k] != kNone) memory[place[k]] = key[k];
   }
   for (uint k = 0u; k < kEach; ++k) {
     uint i = min(first + stride * k, count - 1u);
-    value[k] = first_pass ? i : values[i];
+    value[k] = are_places ? i : values[i];
   }
   if (counts_digit) {
     uint before = keysBefore(block, local);
@@ -215,7 +217,7 @@ void sortBlock(uint block, uint count) {
   }
   barrier();
   for (uint k = 0u; k < kEach; ++k) {
-    if (first + stride * k < count) memory[place[k]] = value[k];
+    if (key[k] != kNone) memory[place[k]] = value[k];
   }
   barrier();
   for (uint k = 0u; k < kEach; ++k) {
@@ -225,7 +227,7 @@ void sortBlock(uint block, uint count) {
 }
 
 void main() {
-  uint count = seen.splats.count, blocks = (count + kBlock - 1u) / kBlock;
+  uint count = max(first_count, seen.count), blocks = (count + kBlock - 1u) / kBlock;
   if (warpCount() > kMostWarps) return;
   for (uint block = takeBlock(blocks); block < blocks; block = takeBlock(blocks)) {
     sortBlock(block, count);

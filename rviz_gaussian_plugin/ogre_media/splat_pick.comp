@@ -7,8 +7,6 @@ layout(std430) readonly buffer Lists { TileList lists[]; };
 layout(std430) writeonly buffer Picked { uint picked[]; };  // as page_table.hpp numbers slots, or kNone
 layout(binding = 0) uniform sampler2D scene_depth;
 
-uniform uint words;  // how many `visible` has
-
 const uint kBatch = 256u;
 
 shared uint searching;  // pixels that a farther splat may still win
@@ -78,7 +76,5 @@ void main() {
     }
     barrier();
   }
-  if (inside && winner != kNone) {
-    picked[texel.y * view.picture.x + texel.x] = visibleNumber(winner, words);
-  }
+  if (inside && winner != kNone) picked[texel.y * view.picture.x + texel.x] = winner;
 }

@@ -1,5 +1,5 @@
-// Projects the visible splats of some pages: 3D Gaussian -> ellipse in the picture, spherical
-// harmonics -> colour. EWA splatting (Zwicker et al. 2001) as in Kerbl et al. 2023.
+// Finds the slots of some pages that the picture may show, and projects their splats: 3D Gaussian -> ellipse in the
+// picture, spherical harmonics -> colour. EWA splatting (Zwicker et al. 2001) as in Kerbl et al. 2023.
 
 layout(local_size_x = 256) in;
 
@@ -8,20 +8,21 @@ layout(local_size_x = 256) in;
 layout(std430) readonly buffer Band1 { uint band1[]; };
 layout(std430) readonly buffer Band2 { uint band2[]; };
 layout(std430) readonly buffer Band3 { uint band3[]; };
-// What the visible splats are sorted by: grows with their depth.
+// What the splats are sorted by: grows with their depth; kNone for slots that the picture doesn't show. Of these, nothing
+// else is written.
 layout(std430) writeonly buffer Keys { uint keys[]; };
 // boxOf() each splat; if nodes stand for some, from first_share on the share of each that is drawn.
 layout(std430) writeonly buffer Boxes { uint boxes[]; };
 layout(std430) buffer Seen { SeenTally seen; };
+layout(std430) buffer OfLayers { uint seen_of_layer[]; };
 
-uniform uint room;  // for visible splats
 uniform uint first_share;
-uniform uint groups_of_slots;  // 256 each, of all kept pages
+uniform uint layer;
+uniform bool one_layer;
 
 const float kMostVariance = 1e16, kMostUnit = 1e18;  // beyond any picture, and soon beyond float32
 
-shared uint group_nearest, group_farthest;
-shared uint seen_before, words[8];
+shared uint group_seen, group_nearest, group_farthest;
 
 mat3 rotationMatrix(vec4 q) {
   q = normalize(q);
@@ -231,57 +232,62 @@ Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
   return e;
 }
 
-// Projects a slot to an index. Returns the key of its depth, kNone if it isn't drawn.
-uint projected(Page page, uint slot, uint index) {
-  vec3 mean = slotPosition(slot);
-  vec3 p = transformed(groups[page.group].to_camera, mean);
-  Ellipse e = project(page, slot, mean, p);
-  if (index >= room) return kNone;
-  keep(index, packEllipse(e));
-  if (view.cut) boxes[first_share + index] = floatBitsToUint(shareOf(page, slot, mean));
-  boxes[index] = e.opacity > 0.0 ? boxOf(outlineOf(e)) : 0u;
-  uint key = e.opacity > 0.0 ? depthKey(p.z) : kNone;
-  keys[index] = key;
-  return key;
+// Whether the picture may show a slot, p in the camera's frame: the sorters' test (rosplat_sorter/depth.py derives it),
+// operation by operation, so that this shader and the sorters find the same slots.
+bool mayBeSeen(Page page, uint slot, vec3 mean, vec3 p) {
+  float opacity = opacityUnit(page) * slotOpacity(slot);
+  if (!(opacity >= kCutoffAlpha) || !(map.opacity * opacity >= kCutoffAlpha)) return false;
+  if (map.clip_to_box) {
+    vec3 in_box = transformed(groups[page.group].to_box, mean);
+    if (!all(lessThanEqual(abs(in_box), 0.5 * map.box_size))) return false;
+  }
+  vec3 scale = slotScale(slot);
+  float extent = cutoffSigmas(opacity) * max(max(scale.x, scale.y), scale.z);
+  float w = view.orthographic ? 1.0 : p.z;
+  precise vec2 reach = view.half_size * w + map.slope * extent;
+  precise vec2 along = abs(view.focal * p.xy + view.offset * w);
+  return p.z > view.clip.x && p.z < view.clip.y && all(lessThanEqual(along, reach));
 }
 
-// Sums up what is seen before these 256 slots. Completes their words of `visible`, and the tally.
-void sumUp(uint group) {
-  uint local = gl_LocalInvocationIndex;
-  if (local < 32u) atomicAdd(seen_before, countBefore(group, local));
-  if (local < 8u) words[local] = visible[8u * group + local].x;
-  barrier();
-  uint sum = seen_before;
-  for (uint k = 0u; k < min(local, 8u); ++k) sum += uint(bitCount(words[k]));
-  if (local < 8u) visible[8u * group + local].y = sum;
-  if (local == 8u && group + 1u == groups_of_slots) seen.splats = tallied(sum, room);
-  if (group == 0u) clearNextSpans();
+// Projects a slot, if the picture shows it. Returns the key of its depth, or kNone.
+uint projected(Page page, uint slot, uint number) {
+  vec3 mean = slotPosition(slot);
+  vec3 p = transformed(groups[page.group].to_camera, mean);
+  if (!mayBeSeen(page, slot, mean, p)) return kNone;
+  float share = shareOf(page, slot, mean);
+  if (!(share > 0.0)) return kNone;
+  Ellipse e = project(page, slot, mean, p);
+  if (e.opacity == 0.0) return kNone;
+  keep(number, packEllipse(e));
+  if (view.cut) boxes[first_share + number] = floatBitsToUint(share);
+  boxes[number] = boxOf(outlineOf(e));
+  return depthKey(p.z);
 }
 
 void main() {
   Page page = groupPage();
-  uint local = gl_LocalInvocationIndex, slot = kPageSlots * page.page + slotInPage(), key = kNone;
+  uint local = gl_LocalInvocationIndex;
   if (local == 0u) {
+    group_seen = 0u;
     group_nearest = kNone;
     group_farthest = 0u;
-    seen_before = 0u;
   }
   barrier();
-  sumUp((kPageSlots * page.number + slotInPage()) / 256u);
-  uint word = local / 32u, bit = 1u << local % 32u;
-  if ((words[word] & bit) != 0u) {
-    uint index = seen_before + uint(bitCount(words[word] & (bit - 1u)));
-    for (uint k = 0u; k < word; ++k) index += uint(bitCount(words[k]));
-    key = projected(page, slot, index);
-  }
+  uint number = kPageSlots * page.number + slotInPage();
+  uint key = projected(page, kPageSlots * page.page + slotInPage(), number);
+  keys[number] = key;
   if (key != kNone) {
+    atomicAdd(group_seen, 1u);
     atomicMin(group_nearest, key);
     atomicMax(group_farthest, key);
   }
   barrier();
-  if (local > 0u || group_nearest > group_farthest) return;
-  atomicMin(seen.nearest, group_nearest);
-  atomicMax(seen.farthest, group_farthest);
+  if (local > 0u || group_seen == 0u) return;
+  atomicAdd(seen.count, group_seen);
+  if (!one_layer) atomicAdd(seen_of_layer[layer], group_seen);
+  // Most groups change nothing here, and learn so without an atomic operation.
+  if (group_nearest < seen.nearest) atomicMin(seen.nearest, group_nearest);
+  if (group_farthest > seen.farthest) atomicMax(seen.farthest, group_farthest);
   if (map.kind == kByDepth) {
     atomicMin(seen.nearest_coloured, group_nearest);
     atomicMax(seen.farthest_coloured, group_farthest);

@@ -264,7 +264,7 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const Surroundings& around
   for (const auto& [map, view_id, camera_in_map, settings, order, state] : picture.layers) {
     map->expectDetail(view_id, settings, camera_in_map);
   }
-  while (!view.checkRoom(frame) || keepBudgets(frame, view.splats().countsOfLayers(), picture)) {
+  while (!view.checkRoom() || keepBudgets(frame, view.splats().countsOfLayers(), picture)) {
     view.prepare(frame);
     view.blend(stopwatch, bool(translucent));
   }
@@ -316,7 +316,7 @@ void SplatRenderer::drawSurface(const CardPicture& picture, Canvas canvas, doubl
   do {
     view.prepare(frame);
     view.blendDepth(surface_depth_);
-  } while (!view.checkRoom(frame));
+  } while (!view.checkRoom());
   glDisable(GL_BLEND);
   glDisable(GL_DEPTH_TEST);
   surface_.use();
@@ -338,7 +338,7 @@ void SplatRenderer::drawPick(const CardPicture& picture, Canvas canvas, std::uin
     view.prepare(frame);
     picker_.begin(view.splats(), pick_depth_, view.topFirst());
     view.inRegions(stopwatch, [&] { picker_.pick(view.splats(), view.tiles(), pick_depth_); });
-  } while (!view.checkRoom(frame));
+  } while (!view.checkRoom());
   picked_layers_ = picture.layers.size();
   if (canvas != Canvas::kNone) picker_.draw(window, pick_depth_, number);
 }

@@ -24,7 +24,8 @@ namespace rosplat {
 constexpr int kSize = 64;  // of the picture [px]
 // What colours of two differ by if one stops at a transmittance of 1e-4, as the processor does.
 constexpr float kApart = 3e-4f;
-constexpr std::uint32_t kSplats = 5000;  // of the map
+constexpr std::uint32_t kSplats = 5000;                 // of the map
+constexpr std::uint32_t kSlots = 5 * SlotPage::kSlots;  // of its pages
 
 // rviz's kind of context, the compatibility profile, made current; null where there is none to be
 // had. It shares nothing with others.

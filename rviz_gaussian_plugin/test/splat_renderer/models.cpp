@@ -55,7 +55,7 @@ TEST_F(SplatRendererTest, DrawsRaysAndDiscsOutOfSmallBuffers) {
   whole.apply(small);
   const auto rays = cutPicture(whole, drawnAs(Model::kRay));
   const auto discs = cutPicture(whole, drawnAs(Model::kDisc));
-  const auto bytes = static_cast<GLint64>(kSplats / 3 * Shaders::ellipseBytes(Shapes::kDiscs));
+  const auto bytes = static_cast<GLint64>(kSlots / 3 * Shaders::ellipseBytes(Shapes::kDiscs));
   const Disguise disguise(bytes, 0);
   SplatScene scene(shaders());
   scene.apply(small);

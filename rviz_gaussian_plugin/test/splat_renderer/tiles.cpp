@@ -115,14 +115,14 @@ TEST_F(SplatRendererTest, DrawsTheSameOutOfSmallBuffers) {
   };
   // In two parts; and in four, which leave no room for the lists of all tiles.
   for (const std::size_t parts : {2u, 4u}) {
-    const Disguise disguise = buffersOf(kSplats / parts);
+    const Disguise disguise = buffersOf(kSlots / parts);
     SplatScene scene(shaders());
     scene.apply(small);
     for (int frame = 0; frame < 3; ++frame) EXPECT_EQ(of(scene), expected);
     EXPECT_TRUE(sameDepths(scene.readDepth(), depths));
     EXPECT_EQ(picked(scene, largeCamera()), expected_picks);
   }
-  const Disguise disguise = buffersOf(kSplats / 5);  // there are four parts at most
+  const Disguise disguise = buffersOf(kSlots / 5);  // there are four parts at most
   SplatScene scene(shaders());
   scene.apply(small);
   EXPECT_THROW(of(scene), gl::Error);
@@ -131,7 +131,7 @@ TEST_F(SplatRendererTest, DrawsTheSameOutOfSmallBuffers) {
 // Lists that find no room are made region by region; as soon as they find it, at once.
 TEST_F(SplatRendererTest, DrawsInRegionsWhereListsAreTooMuch) {
   const Disguise disguise(
-      static_cast<GLint64>(kSplats / 4 * Shaders::ellipseBytes(Shapes::kEllipses)), 0);
+      static_cast<GLint64>(kSlots / 4 * Shaders::ellipseBytes(Shapes::kEllipses)), 0);
   SplatScene scene(shaders());
   scene.apply(manySplats(0.08f).batch(1, {}));
   picture(scene, Rasterizer::kTiles, OrderSource::kAuto);  // what isn't called yet isn't counted
@@ -160,7 +160,7 @@ TEST_F(SplatRendererTest, DrawsInRegionsWhereListsAreTooMuch) {
 // Where a single macro tile has more than there is memory for.
 TEST_F(SplatRendererTest, SaysThatSplatsAreLeftOut) {
   const Disguise disguise(
-      static_cast<GLint64>(kSplats / 4 * Shaders::ellipseBytes(Shapes::kEllipses)), 0);
+      static_cast<GLint64>(kSlots / 4 * Shaders::ellipseBytes(Shapes::kEllipses)), 0);
   SplatScene scene(shaders());
   const auto see = [&](float size) {
     scene.apply(manySplats(size).batch(1, {}));
@@ -247,18 +247,26 @@ TEST_F(SplatRendererTest, GivesBackTheMemoryOfSplatsThatItSeesNoMore) {
 
 // Long lists whose segments find no memory are blended whole.
 TEST_F(SplatRendererTest, DrawsTheSameWhereSegmentsFindNoMemory) {
-  Splats splats;
-  for (int i = 0; i < 40000; ++i) {
-    splats.splats.add({0, 0, 5}, {0.025f, 0.025f, 0.025f}, 0.01f, {1, 1, 1});
-  }
-  SplatScene scene(shaders());
-  scene.apply(splats.batch(1, {}));
+  // So far from each other across and down. [m]
+  const auto apart = [](float step, std::uint64_t revision) {
+    Splats splats;
+    for (int i = 0; i < 40000; ++i) {
+      const float x = step * float(i % 200 - 100), y = step * float(i / 200 - 100);
+      splats.splats.add({x, y, 5}, {0.025f, 0.025f, 0.025f}, 0.01f, {1, 1, 1});
+    }
+    return splats.batch(revision, {});
+  };
   const auto of = [](SplatScene& drawn) {
     return picture(drawn, Rasterizer::kTiles, OrderSource::kAuto, Canvas::kNone, largeCamera());
   };
-  const auto expected = of(scene);
-  scene.forget("view");
-  // Of what a frame asks for, segments alone take a multiple of 4 KiB.
+  SplatScene whole(shaders());
+  whole.apply(apart(0, 1));
+  const auto expected = of(whole);
+  SplatScene scene(shaders());
+  scene.apply(apart(0.03f, 1));
+  of(scene);  // has no segments
+  scene.apply(apart(0, 2));
+  // Of what more a frame asks for, segments alone take a multiple of 4 KiB.
   const BufferLimit limit(65536, 4096);
   for (int frame = 0; frame < 3; ++frame) {
     EXPECT_LT(greatestDifference(of(scene), expected), 1e-4f);
@@ -367,7 +375,7 @@ TEST_F(SplatRendererTest, DrawsAllTheSameInRegions) {
   EXPECT_NE(expected[2], expected[0]);  // divided
   // One that leaves no room for the lists of all tiles.
   const Disguise disguise(
-      static_cast<GLint64>(kSplats / 2 * Shaders::ellipseBytes(Shapes::kEllipses)), 0);
+      static_cast<GLint64>(kSlots / 2 * Shaders::ellipseBytes(Shapes::kEllipses)), 0);
   SplatScene scene(shaders());
   scene.apply(batch);
   const auto found = pictures(scene);

@@ -6,8 +6,8 @@ namespace rosplat {
 
 namespace {
 
-constexpr std::size_t kLeastRoom = 65536;  // for visible splats
-constexpr int kPatience = 16;              // frames that need fewer bits until fewer are sorted
+constexpr int kPatience = 16;      // frames that need fewer passes until there are fewer
+constexpr int kAllPatience = 256;  // frames until what failed is tried again
 
 }  // namespace
 
@@ -15,7 +15,7 @@ OrderedSplats::OrderedSplats(Shaders& shaders, RadixSort& sort, const Tallies& t
     : tallies_(tallies),
       sort_(sort),
       projection_(shaders, tallies),
-      order_program_(shaders.compute({"splat_visible.glsl", "splat_order.comp"})),
+      order_program_(shaders.compute({"splat_order.comp"})),
       order_length_(tallies.of(Tallies::kOrder)) {}
 
 bool OrderedSplats::answers(const Frame& frame) const {
@@ -30,24 +30,15 @@ bool OrderedSplats::answers(const Frame& frame) const {
                     same);
 }
 
-void OrderedSplats::prepare(const Frame& frame) {
+void OrderedSplats::prepare(const Frame& frame, double growth) {
   kept_ = false;
   prepared_.clear();
-  std::size_t slots = 0;
   for (const FrameLayer& layer : frame.layers) {
     prepared_.push_back(
         {layer.camera, layer.settings, layer.model(), layer.store.version(), layer.error});
-    slots += layer.store.slots();
   }
   if (order_ != frame.order) takeOrder(frame.order);
-  std::size_t room = std::min(slots, kLeastRoom);
-  if (used_.wastes(visible_)) {
-    projection_.release();
-    drawn_.release();
-    room = std::max(room, withSlack(visible_));
-  }
-  projection_.prepare(frame.shapes());
-  projection_.reserve(room);
+  projection_.prepare(frame, growth);
   sort_.reserve(projection_.room());
   projection_.run(frame, sort_.keys());
   frame.stopwatch.lap("project");
@@ -59,54 +50,49 @@ void OrderedSplats::takeOrder(const OrderPtr& order) {
   order_ = nullptr;  // stays so if memory is lacking
   if (!order) return slots_.release();
   if (!order->slots.empty()) slots_.upload(order->slots);
-  tell(order_length_, order->slots.size());
+  const auto count = static_cast<GLuint>(order->slots.size());
+  order_length_.write(&count, sizeof(count));
   order_ = order;
 }
 
 void OrderedSplats::putInOrder(std::uint32_t capacity) {
-  const std::size_t bytes = std::max(projection_.room(), most()) * sizeof(GLuint);
-  drawn_.reserve(bytes, order_ ? bytes / 8 : 0);
-  if (!order_) {
-    sort_.order(projection_.seen(), expected(), key_bits_, drawn_);
-    return;
-  }
+  const std::size_t bytes = std::max<std::size_t>(most(), 1) * sizeof(GLuint);
+  if (drawn_used_.wastes(bytes)) drawn_.release();
+  drawn_.reserve(bytes, bytes / 8);
+  if (!order_) return sort_.order(projection_.seen(), most(), expected(), bits_, drawn_);
   if (order_->slots.empty()) return;
   page_numbers_.upload(projection_.pages().numbers(capacity));
-  projection_.bindVisible(order_program_);
+  order_program_.bind("Keys", sort_.keys());
   order_program_.bind("Numbers", page_numbers_);
   order_program_.bind("Order", slots_);
   order_program_.bind("Drawn", drawn_);
   order_program_.use();
   order_program_.set("count", static_cast<GLuint>(order_->slots.size()));
   order_program_.set("capacity", capacity);
-  order_program_.set("room", static_cast<GLuint>(projection_.room()));
   gl::dispatchInvocations(order_->slots.size());
   gl::storageBarrier();
 }
 
-bool OrderedSplats::checkRoom(std::size_t most, double growth) {
-  const GLuint visible = tallies_.wait(Tallies::kSeen, Tallies::kWanted),
+bool OrderedSplats::checkBits() {
+  const GLuint seen = tallies_.wait(Tallies::kSeen, Tallies::kNumber),
                nearest = tallies_.wait(Tallies::kSeen, Tallies::kNearest),
                farthest = tallies_.wait(Tallies::kSeen, Tallies::kFarthest);
-  visible_ = visible;
-  count_ = order_ ? order_->slots.size() : visible;
-  counts_ = projection_.visibleOf(count_);
-  bool enough = true;
-  if (visible > projection_.room()) {
-    projection_.reserve(std::min(withSlack(visible, growth), most));
-    enough = false;
+  const bool alike = tallies_.wait(Tallies::kSeen, Tallies::kAlike) != 0;
+  count_ = order_ ? order_->slots.size() : seen;
+  counts_ = projection_.ofLayers(count_);
+  if (order_) return kept_ = true;
+  all_for_ = alike ? kAllPatience : std::max(all_for_ - 1, 0);
+  RadixSort::Bits wanted{farthest > nearest ? bitsOf(farthest - nearest) : 1, all_for_ > 0};
+  const bool lacks = alike || wanted.bits > bits_.most();
+  // One more where that is free, so that the next frame doesn't lack it.
+  const RadixSort::Bits more{wanted.bits + 1, wanted.all};
+  if (more.passes() == wanted.passes() && wanted.dropped() > 0) wanted = more;
+  fewer_for_ = wanted.most() < bits_.most() ? fewer_for_ + 1 : 0;
+  if (lacks || fewer_for_ > kPatience) {
+    bits_ = wanted;
+    fewer_for_ = 0;
   }
-  const int bits = farthest > nearest ? bitsOf(farthest - nearest) : 1;
-  const int key_bits =
-      (bits + RadixSort::kDigitBits - 1) / RadixSort::kDigitBits * RadixSort::kDigitBits;
-  fewer_bits_for_ = key_bits < key_bits_ ? fewer_bits_for_ + 1 : 0;
-  if (key_bits > key_bits_ || fewer_bits_for_ > kPatience) {
-    enough = enough && key_bits < key_bits_;
-    key_bits_ = key_bits;
-    fewer_bits_for_ = 0;
-  }
-  kept_ = enough;
-  return enough;
+  return kept_ = !lacks;
 }
 
 bool OrderedSplats::hasBalls() const {

@@ -24,23 +24,22 @@ class OrderedSplats {
 
   // Whether the splats that were prepared last are those of a frame.
   bool answers(const Frame& frame) const;
-  // Submits the projection and the ordering of the visible splats.
-  void prepare(const Frame& frame);
-  // Returns whether prepare() had room for all splats and sorted enough bits: then they are kept.
-  // Else makes room for `growth` times as many splats, but at most `most`. Waits for the tallies,
+  // Submits the projection and the ordering of the splats in view. growth: as Projection has it.
+  void prepare(const Frame& frame, double growth);
+  // Returns whether prepare() sorted enough bits: then the splats are kept. Waits for the tallies,
   // which must have been asked for.
-  bool checkRoom(std::size_t most, double growth);
+  bool checkBits();
 
   const Projection& projection() const { return projection_; }
   const gl::Buffer& drawn() const { return drawn_; }  // indices of ellipses, nearest first
-  // How many splats are drawn: on the graphics card; count(): as checkRoom() read; at most most();
+  // How many splats are drawn: on the graphics card; count(): as checkBits() read; at most most();
   // about expected().
   const gl::Slice& tally() const { return order_ ? order_length_ : projection_.seen(); }
   std::size_t count() const { return count_; }
   // Whether any splat may be a solid ball.
   bool hasBalls() const;
   const std::vector<std::size_t>& countsOfLayers() const { return counts_; }
-  std::size_t most() const { return order_ ? order_->slots.size() : projection_.room(); }
+  std::size_t most() const { return order_ ? order_->slots.size() : projection_.slots(); }
   std::size_t expected() const { return likely(count_, most()); }
   std::size_t bytes() const;
 
@@ -61,18 +60,18 @@ class OrderedSplats {
   RadixSort& sort_;
   Projection projection_;
   const gl::Program& order_program_;
-  OrderPtr order_;          // farthest first; null: visible splats are sorted here
+  OrderPtr order_;          // farthest first; null: splats are sorted here
   gl::Buffer slots_;        // of `order_`
   gl::Slice order_length_;  // of `order_`
   std::vector<Prepared> prepared_;
   bool kept_ = false;  // nothing of `prepared_` was left out
   gl::Buffer page_numbers_, drawn_;
+  UsageTracker drawn_used_;  // of `drawn_`
   std::size_t count_ = 0;
-  std::size_t visible_ = 0;  // splats, as checkRoom() read
-  UsageTracker used_;        // of the room for them
   std::vector<std::size_t> counts_;
-  int key_bits_ = 32;       // of the depth keys that are sorted
-  int fewer_bits_for_ = 0;  // frames in a row that needed fewer bits
+  RadixSort::Bits bits_;  // of the depth keys that are sorted
+  int fewer_for_ = 0;     // frames in a row that needed fewer passes
+  int all_for_ = 0;       // frames until passes may leave bits out again
 };
 
 }  // namespace rosplat

@@ -10,39 +10,33 @@
 #include "gl/readback.hpp"
 #include "gl/shaders.hpp"
 #include "gpu/frame.hpp"
-#include "gpu/group_counts.hpp"
 #include "gpu/page_table.hpp"
 #include "gpu/tally.hpp"
 
 namespace rosplat {
 
-// Finds the slots of maps that may be visible to the camera, counts them, and projects them to
-// ellipses, which lie one after the other, map by map in the order of their slots. Only the
-// graphics card knows their number. If there is no room for all, the last ones are left out.
+// Finds the slots of maps that the camera may see, and projects them to ellipses. An ellipse has
+// the number of its slot, as page_table.hpp numbers those of the pages in view: what isn't seen
+// leaves a gap. Only the graphics card knows how many are seen.
 class Projection {
  public:
   Projection(Shaders& shaders, const Tallies& tallies);
 
-  // What splats are projected to from now on.
-  void prepare(Shapes shapes);
-  Shapes shapes() const { return shapes_; }
-  // Makes room for so many visible splats. Throws gl::Error where the driver has none.
-  void reserve(std::size_t count);
-  std::size_t room() const { return room_; }
-  // Frees that room, and what is projected.
-  void release();
+  // Finds the pages in view, and makes room for all of their slots: slots(). growth: by how much a
+  // map is expected to grow. Throws gl::Error where the driver has no room.
+  void prepare(const Frame& frame, double growth);
+  std::size_t slots() const { return pages_.count() * SlotPage::kSlots; }
+  std::size_t room() const { return room_; }  // for slots
 
-  // Submits the projection. keys: gets the depth keys; has room for room() of them.
+  // Submits the projection. keys: gets the depth key of each slot, kNone of those that aren't seen.
   void run(const Frame& frame, const gl::Buffer& keys);
 
   const gl::Slice& seen() const { return seen_; }  // a SeenTally
-  // Returns how many of all `visible` splats each layer shows. With several, waits for the counts.
-  std::vector<std::size_t> visibleOf(std::size_t visible) const;
-  // Bind the buffers of splat_ellipses.glsl and splat_visible.glsl.
+  Shapes shapes() const { return shapes_; }
+  // Returns how many of all `seen` splats are of each layer. With several, waits for the counts.
+  std::vector<std::size_t> ofLayers(std::size_t seen) const;
+  // Binds the buffers of splat_ellipses.glsl.
   void bindEllipses(const gl::Program& program) const;
-  void bindVisible(const gl::Program& program) const;
-  // Words of the bits that bindVisible() binds: a bit for each slot of pages().
-  std::size_t slotWords() const { return pages_.count() * SlotPage::kSlots / 32; }
   const PageTable& pages() const { return pages_; }
   const gl::Buffer& boxes() const { return boxes_; }  // as splat_tiles.glsl has them
   // Whether nodes stand for some splats. If so, shares() are the drawn shares, else anything.
@@ -51,27 +45,22 @@ class Projection {
   std::size_t bytes() const;
 
  private:
-  void cull();
-  void askForLayers();
-  void project(const Frame& frame, const gl::Buffer& keys);
-  void bindMap(const PageTable::Range& range) const;
+  void reserve(std::size_t slots, bool shares);
+  void release();
 
   PageTable pages_;
   Shaders& shaders_;
-  const gl::Program& cull_;
   ShapedProgram project_;
   Shapes shapes_ = Shapes::kEllipses;
   gl::Buffer groups_, maps_;  // as splat_groups.glsl and splat_map.glsl have them
-  gl::Buffer visible_;
-  GroupCounts counts_;  // of visible slots
-  // With several layers: how many splats are visible in the layers before each.
-  gl::Buffer visible_before_;
-  std::optional<gl::Readback> visible_before_copy_;
+  gl::Buffer of_layers_;      // with several layers: how many splats are seen of each
+  std::optional<gl::Readback> of_layers_copy_;
   std::array<gl::Buffer, Shaders::kEllipseParts> ellipses_;
   gl::Buffer boxes_;
   std::size_t shares_begin_ = 0;  // in `boxes_` [bytes]; 0: no shares
   gl::Slice seen_;
   std::size_t room_ = 0;
+  UsageTracker used_;  // of that room
 };
 
 }  // namespace rosplat

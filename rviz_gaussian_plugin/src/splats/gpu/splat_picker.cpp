@@ -5,8 +5,8 @@
 namespace rosplat {
 
 SplatPicker::SplatPicker(Shaders& shaders)
-    : pick_(shaders, {"splat_visible.glsl", "splat_ellipses.glsl", "splat_tiles.glsl",
-                      "splat_depth.glsl", "splat_pick.comp"}),
+    : pick_(shaders,
+            {"splat_ellipses.glsl", "splat_tiles.glsl", "splat_depth.glsl", "splat_pick.comp"}),
       colour_(shaders.draw({"splat_composite.vert"}, {"splat_pick.frag"})) {}
 
 void SplatPicker::begin(const OrderedSplats& splats, const gl::Target& target, bool top_first) {
@@ -25,8 +25,6 @@ void SplatPicker::pick(const OrderedSplats& splats, const TileRasterizer& lists,
   const gl::Program& program = pick_.of(splats.projection().shapes());
   program.use();
   splats.projection().bindEllipses(program);
-  splats.projection().bindVisible(program);
-  program.set("words", static_cast<GLuint>(splats.projection().slotWords()));
   program.bind("Picked", picked_);
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.depth());

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
 #include <cstddef>
 
 #include "gl/buffer.hpp"
@@ -48,18 +47,18 @@ class UsageTracker {
 };
 
 // The counts of a view that shaders find, side by side, so that one shader reports all of them to
-// the CPU. Most are a Tally, as splat_common.glsl has it.
+// the CPU. Each begins with a count; splat_common.glsl has Tally and SeenTally.
 class Tallies {
  public:
   enum Of : std::size_t {
     kSeen,        // a SeenTally
-    kMacroPairs,  // a SeenTally whose nearest key is 0
+    kMacroPairs,  // a Tally, and as the nearest key of a SeenTally 0
     kLists,       // pairs of a splat and a tile, then segments; as macro_count.comp has them
     kOrder,
     kCount
   };
-  // Words of a SeenTally.
-  static constexpr std::size_t kWanted = 1, kNearest = 2, kFarthest = 3;
+  // Words of a Tally and a SeenTally.
+  static constexpr std::size_t kNumber = 0, kWanted = 1, kAlike = 1, kNearest = 2, kFarthest = 3;
 
   Tallies() : words_(kCount * gl::Slice::kAlignment, GL_DYNAMIC_COPY), report_(kCount * kStride) {
     gl::settle();
@@ -84,11 +83,5 @@ class Tallies {
   gl::Buffer words_;
   gl::Readback report_;
 };
-
-// Writes a count that the CPU knows to a Tally.
-inline void tell(const gl::Slice& tally, std::size_t count) {
-  const std::array<GLuint, 2> words{static_cast<GLuint>(count), static_cast<GLuint>(count)};
-  tally.write(words.data(), sizeof(words));
-}
 
 }  // namespace rosplat

@@ -7,6 +7,21 @@
 
 namespace rosplat {
 
+namespace {
+
+// By how much the maps will grow. Assumes that splats to come are as visible as the present ones;
+// not all announced ones come.
+double growthOf(const Frame& frame) {
+  std::size_t expected = 0, capacity = 0;
+  for (const FrameLayer& layer : frame.layers) {
+    expected += std::min<std::size_t>(layer.map.expected, kMaxSlots);
+    capacity += layer.store.capacity();
+  }
+  return std::clamp(double(expected) / double(std::max<std::size_t>(1, capacity)), 1.0, 4.0);
+}
+
+}  // namespace
+
 ViewState::ViewState(Shaders& shaders, RadixSort& sort)
     : splats_(shaders, sort, tallies_),
       tiles_(shaders, sort, tallies_),
@@ -22,7 +37,8 @@ void ViewState::prepare(const Frame& frame) {
   height_ = frame.camera().height;
   top_first_ = frame.top_first;
   if (splats_.answers(frame)) return;
-  splats_.prepare(frame);
+  growth_ = growthOf(frame);
+  splats_.prepare(frame, growth_);
   tiles_.forget();
 }
 
@@ -66,20 +82,10 @@ void ViewState::blendDepth(const gl::Target& target) {
   } while (!checkRoomForLists(1));
 }
 
-bool ViewState::checkRoom(const Frame& frame) {
+bool ViewState::checkRoom() {
   if (!std::exchange(reported_, false)) return true;
-  // Assumes that splats to come are as visible as the present ones; not all announced ones come.
-  std::size_t expected = 0, capacity = 0, most = 0;
-  for (const FrameLayer& layer : frame.layers) {
-    const auto announced = std::min<std::size_t>(layer.map.expected, kMaxSlots);
-    expected += announced;
-    capacity += layer.store.capacity();
-    most += std::max(layer.store.slots(), announced) + (layer.cuts() ? layer.nodes->slots() : 0);
-  }
-  const double growth =
-      std::clamp(double(expected) / double(std::max<std::size_t>(1, capacity)), 1.0, 4.0);
-  const bool enough = splats_.checkRoom(most, growth);
-  return checkRoomForLists(growth) && enough;
+  const bool enough = splats_.checkBits();
+  return checkRoomForLists(growth_) && enough;
 }
 
 bool ViewState::checkRoomForLists(double growth) {

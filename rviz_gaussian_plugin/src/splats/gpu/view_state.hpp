@@ -29,7 +29,7 @@ class ViewState {
 
   // Makes later shaders draw the view of the last frame.
   void use() const { glBindBufferBase(GL_UNIFORM_BUFFER, 0, block_.id()); }
-  // Begins a frame. Submits the projection and the sort of the visible splats, unless kept.
+  // Begins a frame. Submits the projection and the sort of the splats, unless kept.
   void prepare(const Frame& frame);
   // Submits the lists by tiles, unless kept or made region by region: then inRegions() does.
   void list(gl::Stopwatch& stopwatch);
@@ -43,7 +43,7 @@ class ViewState {
   void blendDepth(const gl::Target& target);
   // Returns whether there was room for all that was submitted; else makes room. Waits only for the
   // counts, which the graphics card finds first.
-  bool checkRoom(const Frame& frame);
+  bool checkRoom();
 
   const OrderedSplats& splats() const { return splats_; }
   const TileRasterizer& tiles() const { return tiles_; }
@@ -62,6 +62,7 @@ class ViewState {
   OrderedSplats splats_;
   TileRasterizer tiles_;
   gl::Buffer block_;
+  double growth_ = 1;           // of the maps of the last frame
   bool reported_ = false;       // counts are reported, and checkRoom() is to read them
   bool listed_ = false;         // splats were listed by tiles in this frame
   int width_ = 0, height_ = 0;  // of the last frame [px]
