@@ -28,12 +28,12 @@ demo: ## See a scene: SCENE=path, else a procedural one; UP="0 -1 0" where it st
 	@./setup.sh $(if $(IMU),imu)
 	@$(ENTER); python -m rviz_gaussian_plugin.demo $(if $(SCENE),"$(SCENE)") $(if $(UP),--up $(UP))
 
-render: ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=host|rviz] [FORMAT=png16|png8|npy] [FLOAT=1] [DETAIL=full|1.5px|800k] [MODEL=ray]
+render: ## Draw a scene's cameras: SCENE=path CAMERAS=file.json OUT=folder [VIA=host|rviz] [FORMAT=png16|png8|npy] [DETAIL=full|1.5px|800k] [MODEL=ray]
 	@test -n "$(SCENE)" -a -n "$(CAMERAS)" || { echo 'make render needs SCENE=path and CAMERAS=file.json'; exit 1; }
 	$(call EXISTS,$(SCENE))
 	$(call EXISTS,$(CAMERAS))
 	@./setup.sh lab
-	@$(ENTER); python -m rosplat_lab.render "$(SCENE)" "$(CAMERAS)" "$(or $(OUT),out/render)" --via $(VIA) --format $(FORMAT) $(if $(FLOAT),--float-blending) $(if $(DETAIL),--detail "$(DETAIL)") $(if $(MODEL),--model $(MODEL))
+	@$(ENTER); python -m rosplat_lab.render "$(SCENE)" "$(CAMERAS)" "$(or $(OUT),out/render)" --via $(VIA) --format $(FORMAT) $(if $(DETAIL),--detail "$(DETAIL)") $(if $(MODEL),--model $(MODEL))
 
 simplify: ## Fewer splats that look the same: IN=scene OUT=scene PSNR=50, or SPLATS=count or BYTES=20M [CAMERAS=path.json [TRAJECTORY=poses.txt|BAG:TOPIC] [MARGIN=metres]] [REFINE=minutes] [REPORT=file.json] [PICTURE=worst.png]
 	@test -n "$(IN)" -a -n "$(OUT)" || { echo 'make simplify needs IN=scene OUT=scene, and PSNR=, SPLATS= or BYTES='; exit 1; }

@@ -21,7 +21,6 @@ DISPLAYS = """\
   Name: exact
   Enabled: true
   Value: true
-  Float Blending: true
   SH Degree: "{sh_degree}"
   Topic: {Value: "{topic}", Depth: 5}
 - Class: nowhere/Nothing

@@ -34,7 +34,7 @@ def target(request: pytest.FixtureRequest) -> Target:
     if request.param in SCENES:
         target: Target = request.getfixturevalue("opengl")
         target.renderer.settings = rendering.RenderSettings()
-        target.set(float_blending=True, rasterizer=SCENES[request.param])
+        target.set(rasterizer=SCENES[request.param])
     else:
         target = Target(
             CpuRenderer(threads=2, instructions=Instructions.__members__[request.param])

@@ -66,7 +66,6 @@ def target(request: pytest.FixtureRequest) -> Iterator[Target]:
         return
     opengl: Target = request.getfixturevalue("opengl")
     settings = opengl.renderer.settings
-    settings.float_blending = True
     settings.rasterizer = Rasterizer.TILES
     yield opengl
     assert not opengl.renderer.failed(), "OpenGL reported an error"

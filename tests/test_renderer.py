@@ -144,7 +144,6 @@ def test_matches_the_float64_renderer(host: Host, view: str, degree: int) -> Non
     splats = cloud(400, degree)
     expected = reference.render(splats, CAMERAS[view]).rgba
     host.show(splats)
-    host.set(float_blending=True)
     picture = host.draw(CAMERAS[view])
     assert decibels(picture, expected) >= 70
     assert expected.max() > 0.5  # there was something to see
@@ -161,7 +160,6 @@ def test_needles_and_giants_in_a_wide_picture(host: Host) -> None:
     )
     expected = reference.render(splats, camera).rgba
     host.show(splats)
-    host.set(float_blending=True)
     assert decibels(host.draw(camera), expected) >= 70
 
 
@@ -178,7 +176,6 @@ def test_antialiased_models_keep_their_opacity_compensation(host: Host) -> None:
     splats = replace(cloud(2000, size=0.01), model=Model.EWA_ANTIALIASED)
     expected = reference.render(splats, CAMERAS["outside"]).rgba
     host.show(splats)
-    host.set(float_blending=True)
     assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70
     plain = reference.render(replace(splats, model=Model.EWA), CAMERAS["outside"]).rgba
     assert decibels(plain, expected) < 40
@@ -219,7 +216,6 @@ def test_rays_and_discs_match_the_float64_renderer(host: Host, model: Model, cas
     splats = replace(splats, model=model)
     expected = reference.render(splats, camera)
     host.show(splats)
-    host.set(float_blending=True)
     picture, depth = host.draw(camera), host.renderer.read_depth()
     assert np.isfinite(picture).all()
     assert decibels(picture, expected.rgba) >= 70
@@ -233,7 +229,6 @@ def test_a_disc_on_edge_is_no_nan(host: Host) -> None:
     """The camera is in the discs' plane, of which float32 knows nothing there."""
     splats, _ = hard("on edge")
     host.show(replace(splats, model=Model.DISC))
-    host.set(float_blending=True)
     assert np.isfinite(host.draw(camera_at((3.0, 0.0, 0.0)))).all()
 
 
@@ -243,7 +238,6 @@ def test_far_from_the_origin_nothing_is_lost(host: Host) -> None:
     near = CAMERAS["outside"]
     shifted = near.world_to_camera.copy()
     shifted[:3, 3] -= shifted[:3, :3] @ offset
-    host.set(float_blending=True)
     host.show(splats)
     expected = host.draw(near)
     host.show(replace(splats, origin=offset))
@@ -255,7 +249,6 @@ def test_beyond_the_depth_buffer_there_is_a_sky(host: Host) -> None:
     """A huge splat far behind the far plane of the opaque scene."""
     sky = one(positions=[[-1e6, 0, 0]], scales=[[1e6] * 3], opacities=[0.9], sh=[[[1, 1, 1]]])
     host.show(sky)
-    host.set(float_blending=True)
     camera = CAMERAS["outside"]
     picture = host.draw(camera)
     assert picture[..., 3].min() > 0.2
@@ -307,7 +300,7 @@ def test_zero_bands_cost_no_memory(host: Host) -> None:
 def test_the_order_given_is_the_order_drawn(host: Host) -> None:
     splats = cloud(300)
     host.show(splats)
-    host.set(float_blending=True, order=OrderSource.SIDECAR)
+    host.set(order=OrderSource.SIDECAR)
     host.look(CAMERAS["outside"])
     slots = np.random.default_rng(3).permutation(300)[:200].astype(np.uint32)
     host.renderer.set_order("test", host.sequence, str(host.map), 1, "mine", 0.001, slots)
@@ -413,7 +406,6 @@ def test_translucent_objects_are_between_splats(host: Host, orthographic: bool) 
     focal_length = 50.0 if orthographic else 150.0
     camera = camera_at((3.0, 0, 0), orthographic=orthographic, fx=focal_length, fy=focal_length)
     splats = cloud(120, seed=4)
-    host.set(float_blending=True)
 
     def blended(part: np.ndarray) -> np.ndarray:
         host.show(splats[part])
@@ -651,7 +643,7 @@ assert not renderer.failed()
 def test_scale_and_opacity_modifiers(host: Host, scale: float) -> None:
     splats = cloud(300)
     host.show(splats)
-    host.set(scale=scale, opacity=0.6, float_blending=True)
+    host.set(scale=scale, opacity=0.6)
     changed = replace(
         splats,
         scales=splats.scales * np.float32(scale),
@@ -703,7 +695,7 @@ def test_only_what_is_in_the_clip_box_is_drawn(host: Host) -> None:
     box.enabled, box.centre, box.size = True, (10.1, 20, 30), (0.4, 0.8, 20)
     camera = camera_at((12.0, 21.0, 30.7), world_to_camera=look_at((12, 21, 30.7), (10, 20, 30)))
     host.show(splats)
-    host.set(clip_box=box, float_blending=True)
+    host.set(clip_box=box)
     assert 20 < inside.sum() < 250
     assert decibels(host.draw(camera), reference.render(splats[inside], camera).rgba) >= 70
 
@@ -713,7 +705,7 @@ def test_a_single_band_alone(host: Host) -> None:
     band = splats.sh.copy()
     band[:, [0, *range(4, 16)]] = 0  # what is left is band 1
     host.show(splats)
-    host.set(only_band=1, float_blending=True)
+    host.set(only_band=1)
     expected = reference.render(replace(splats, sh=band), CAMERAS["outside"]).rgba
     assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70
     # A band that the map lacks shows nothing, not another band.
@@ -733,7 +725,7 @@ def test_a_model_can_be_forced(host: Host, on: bool) -> None:
     models = [Model.EWA, Model.EWA_ANTIALIASED]
     splats = replace(cloud(2000, size=0.01), model=models[not on])
     host.show(splats)
-    host.set(model=models[on], float_blending=True)
+    host.set(model=models[on])
     expected = reference.render(replace(splats, model=models[on]), CAMERAS["outside"]).rgba
     assert decibels(host.draw(CAMERAS["outside"]), expected) >= 70
 
@@ -819,7 +811,7 @@ def test_near_fade_thins_what_is_close(host: Host) -> None:
 def test_slots_are_drawn_unsorted_where_nobody_is_to_sort(host: Host) -> None:
     splats = cloud(300)
     host.show(splats)
-    host.set(order=OrderSource.OFF, float_blending=True)
+    host.set(order=OrderSource.OFF)
     host.look(CAMERAS["outside"])
     assert host.renderer.draw("test")["order_source"] == "unsorted"
     expected = reference.render(splats, CAMERAS["outside"], order=np.arange(300)).rgba
@@ -834,7 +826,7 @@ def test_what_is_sorted_now_is_sorted_where_that_takes_least(host: Host) -> None
     splats = cloud(300)
     host.show(splats)
     for source in OrderSource.__members__.values():
-        host.set(order=source, float_blending=True)
+        host.set(order=source)
         host.look(CAMERAS["outside"])
         report = host.renderer.draw("test", sort_now=True)
         assert report["order_source"] == ("unsorted" if source == OrderSource.OFF else best)
@@ -930,7 +922,6 @@ def test_maps_of_all_models_are_sorted_together(host: Host) -> None:
     others = [host.renderer.add_map() for _ in maps[1:]]
     for other, splats in zip(others, maps[1:], strict=True):
         insert_all(other, splats)
-    host.set(float_blending=True)
     for camera in (CAMERAS["outside"], CAMERAS["inside"]):
         together = [project(splats, camera) for splats in maps]
         joined = Projected(

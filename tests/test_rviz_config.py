@@ -37,7 +37,6 @@ MAP: dict[str, Any] = {
     "Order Source": "Off",
     "Model": "EWA Antialiased",
     "Detail": "2 px",
-    "Float Blending": True,
     "Near Fade": 0.25,
     "Clip Box": True,
     "Clip Box/Center/X": 1.5,

@@ -578,7 +578,6 @@ class RenderSettings:
     channel_colours: ChannelColours
     clip_box: ClipBox
     detail: str
-    float_blending: bool
     interactive: bool
     mode: DrawMode
     order: OrderSource

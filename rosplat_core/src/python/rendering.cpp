@@ -326,7 +326,6 @@ void defineRendering(py::module_& module) {
       .def_readwrite("mode", &RenderSettings::mode)
       .def_readwrite("max_sh_degree", &RenderSettings::max_sh_degree)
       .def_readwrite("only_band", &RenderSettings::only_band)
-      .def_readwrite("float_blending", &RenderSettings::float_blending)
       .def_readwrite("interactive", &RenderSettings::interactive)
       .def_readwrite("scale", &RenderSettings::scale)
       .def_readwrite("opacity", &RenderSettings::opacity)

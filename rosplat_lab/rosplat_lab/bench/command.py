@@ -212,7 +212,7 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument(
         "--variants", nargs="+", default=[], metavar="NAME",
-        help="of what frame draws: default, tiles, processor, 'float blending', translucent, "
+        help="of what frame draws: default, tiles, processor, translucent, "
         f"'four maps', ray, disc, or another renderer: {', '.join(RENDERERS)}; of levels: card, "
         "processor",
     )  # fmt: skip

@@ -59,7 +59,6 @@ def variants() -> dict[str, Variant]:
     return {
         "default": Variant(),
         **{name.lower(): Variant({"rasterizer": name}) for name in rasterizers},
-        "float blending": Variant({"float_blending": True}),
         # A box amid the splats, before some, behind others.
         "translucent": Variant(translucent=True),
         "four maps": Variant(maps=4),

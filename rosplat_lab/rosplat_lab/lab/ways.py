@@ -71,7 +71,6 @@ def ways(splats: Splats, card: bool, quick: bool) -> Iterator[Way]:
     count = len(splats)
     yield Way(DEFAULT, "rasteriser")
     if card:
-        yield Way("Float Blending: on", "rasteriser", {"float_blending": True})
         yield Way("Rasterizer: Processor", "rasteriser", {"rasterizer": "PROCESSOR"}, by=DISPLAY)
     else:
         yield Way("Rasterizer: Tiles, by Mesa", "rasteriser", {"rasterizer": "TILES"}, by=DISPLAY)
@@ -80,7 +79,7 @@ def ways(splats: Splats, card: bool, quick: bool) -> Iterator[Way]:
         if model is not splats.model:
             yield Way(f"Model: {text}", "Model", {"model": model})
 
-    given = {"order": "SIDECAR", "float_blending": True}
+    given = {"order": "SIDECAR"}
     exact = partial(Way, family="order", settings=given, by=DISPLAY)
     yield exact("Order Source: Sidecar", order=lambda sorter, camera: sorter.order(camera))
     for late in (33, 100, 300):

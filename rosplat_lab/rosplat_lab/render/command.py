@@ -55,7 +55,6 @@ def render(
     *,
     via: str = "host",
     sidecar: str = "",
-    float_blending: bool = False,
     detail: str = "full",
     log_folder: Path = Path("out/log"),
     on_picture: Callable[[Camera, NDArray[np.float32], RenderView.Response], None],
@@ -65,7 +64,7 @@ def render(
     publisher: an executable of rosplat_tools and its arguments after --ros-args.
     via is "host", the embedded renderer, or "rviz", the Display in rviz2. on_picture gets the
     camera, (height, width, 4) premultiplied RGBA and the rest of the answer. sidecar: the backend
-    of a sorter, in whose orders is drawn. float_blending: in 32-bit instead of 16-bit floats.
+    of a sorter, in whose orders is drawn.
     detail: how much of the map to draw, as RenderView has it.
     Raises RenderError, ProcessError, TimeoutError.
     """
@@ -75,10 +74,9 @@ def render(
             programs.node("rosplat_sorter", "sorter", "-p", f"backend:={sidecar}")
         source = "Sidecar" if sidecar else "Auto"
         if via == "rviz":
-            start_rviz(programs, f"{programs.namespace}/gaussians", source, float_blending)
+            start_rviz(programs, f"{programs.namespace}/gaussians", source)
         else:
             settings = ["-p", "serve:=true", "-p", f"order_source:={source.lower()}"]
-            settings += ["-p", f"float_blending:={float_blending}"]
             programs.node("rviz_gaussian_plugin", "viewer", *settings)
         client = programs.asker.create_client(RenderView, "gaussians/render")
         _wait_for_map(programs, client, cameras[0])
@@ -90,18 +88,12 @@ def render(
             print(f"render: {warning}", file=sys.stderr)
 
 
-def start_rviz(
-    processes: Processes, topic: str, order_source: str = "Auto", float_blending: bool = False
-) -> None:
+def start_rviz(processes: Processes, topic: str, order_source: str = "Auto") -> None:
     """Starts rviz2 with a display of the topic; on a screen of its own where there is none."""
     if not shutil.which("rviz2"):
         raise RenderError("rviz2 is not installed here: use --via host")
     config = processes.folder / "render.rviz"
-    config.write_text(
-        RVIZ_CONFIG.format(
-            topic=topic, order_source=order_source, float_blending=str(float_blending).lower()
-        )
-    )
+    config.write_text(RVIZ_CONFIG.format(topic=topic, order_source=order_source))
     command = ["rviz2", "-d", str(config)]
     if not os.environ.get("DISPLAY"):
         command = ["xvfb-run", "-a", "-s", "-screen 0 1280x800x24", *command]
@@ -116,7 +108,6 @@ Visualization Manager:
       Enabled: true
       Topic: {topic}
       Order Source: {order_source}
-      Float Blending: {float_blending}
       Render Service: true
       Value: true
   Global Options:
@@ -242,9 +233,6 @@ def main(arguments: list[str] | None = None) -> int:
         help="draw in the orders of a sorter with this backend",
     )  # fmt: skip
     parser.add_argument(
-        "--float-blending", action="store_true", help="blend in 32-bit instead of 16-bit floats"
-    )
-    parser.add_argument(
         "--detail", default="full", metavar="D",
         help="how much of the map to draw: full, an error (1.5px) or a number of splats (800k)",
     )  # fmt: skip
@@ -283,7 +271,7 @@ def main(arguments: list[str] | None = None) -> int:
         render(
             publisher, cameras,
             via=options.via, sidecar=options.sidecar,
-            float_blending=options.float_blending, detail=options.detail,
+            detail=options.detail,
             log_folder=options.out / "log", on_picture=keep,
         )  # fmt: skip
     except (RuntimeError, OSError, ValueError, MemoryError) as error:
@@ -294,7 +282,6 @@ def main(arguments: list[str] | None = None) -> int:
     settings = {
         "scene": options.scene,
         "via": options.via,
-        "float_blending": options.float_blending,
         "detail": options.detail,
         "model": options.model or "",
     }

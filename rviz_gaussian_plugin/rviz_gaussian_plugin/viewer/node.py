@@ -85,9 +85,6 @@ class Viewer(Node):
             declare(self, "width", WINDOW[0], "Width of the window. [px]", 64, 8192),
             declare(self, "height", WINDOW[1], "Height of the window. [px]", 64, 8192),
         )
-        float_blending: bool = declare(
-            self, "float_blending", False, "Blend in 32-bit instead of 16-bit floats."
-        )
         detail: str = declare(
             self,
             "detail",
@@ -109,8 +106,6 @@ class Viewer(Node):
         try:
             self.renderer.settings.order = ORDER_SOURCES[order_source]
             self.renderer.settings.detail = detail
-            if float_blending:
-                self.renderer.settings.float_blending = True
             self._connect()
         except BaseException:
             del self.renderer  # while its display is there

@@ -164,10 +164,6 @@ DisplaySettings::DisplaySettings(Property* display, std::function<void()> on_cha
                    {nameOf(Model::kEwaAntialiased), int(Model::kEwaAntialiased)},
                    {nameOf(Model::kRay), int(Model::kRay)},
                    {nameOf(Model::kDisc), int(Model::kDisc)}});
-  flag("Float Blending", false,
-       "Keep pictures in 32-bit instead of 16-bit floats. Tiles blend in 32 bits either way; the "
-       "processor always keeps 32.",
-       display, &RenderSettings::float_blending);
   number("Near Fade", 0.0f, "Splats closer than this to the near plane fade out. [m]", display,
          0.0f, &RenderSettings::near_fade);
   clip_ = flag("Clip Box", false, "Draw only splats whose mean is in a box.", display);

@@ -242,8 +242,8 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const Surroundings& around
   }
   const CanvasScope window(canvas);
   view.use();
-  const bool fresh = view.color.become(picture.settings().float_blending ? GL_RGBA32F : GL_RGBA16F,
-                                       camera.width, camera.height, window.targetDepth());
+  const bool fresh =
+      view.color.become(GL_RGBA32F, camera.width, camera.height, window.targetDepth());
   const bool open = !around.opaque && !translucent;
   if (fresh || !view.open || !open) {  // making a framebuffer takes the driver 20 us
     const gl::DrawScope scope(view.color);

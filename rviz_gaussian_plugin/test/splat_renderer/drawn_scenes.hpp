@@ -173,7 +173,6 @@ inline std::vector<float> picture(SplatScene& scene, Rasterizer rasterizer, Orde
                                   Canvas canvas = Canvas::kNone,
                                   const SplatCamera& seen_by = camera()) {
   RenderSettings settings;
-  settings.float_blending = true;
   settings.rasterizer = rasterizer;
   settings.order = order;
   scene.setCamera("view", 1, seen_by);
@@ -230,7 +229,6 @@ inline void addFrom(const OwnedBatch& from, std::uint32_t i, OwnedBatch& to) {
 
 inline RenderSettings detailed(const char* detail, Rasterizer rasterizer) {
   RenderSettings settings;
-  settings.float_blending = true;
   settings.rasterizer = rasterizer;
   settings.detail = parseDetail(detail);
   return settings;

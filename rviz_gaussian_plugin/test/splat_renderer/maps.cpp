@@ -83,7 +83,6 @@ void beginPicture(SplatScene& scene, const std::string& view, const RenderSettin
 TEST_F(SplatRendererTest, DrawsMapsInOneOrder) {
   Union maps;
   RenderSettings settings;
-  settings.float_blending = true;
   settings.rasterizer = Rasterizer::kTiles;
   const auto together = pictureOf(maps.first, settings, maps.second, settings);
   const FrameReport first = maps.first.report("first's view"),
@@ -103,7 +102,6 @@ TEST_F(SplatRendererTest, PicturesThatWereBegunAndNeverDrawnChangeNoOther) {
   fill(scene);
   const auto expected = picture(scene, Rasterizer::kTiles, OrderSource::kAuto);
   RenderSettings settings;
-  settings.float_blending = true;
   settings.rasterizer = Rasterizer::kTiles;
   SplatCamera aside = camera();
   aside.translation[0] += 1;
@@ -165,7 +163,6 @@ TEST_F(SplatRendererTest, DrawsEachMapByItsOwnSettings) {
   Union maps;
   const auto drawn = [&](RenderSettings of_first, RenderSettings of_second, Rasterizer rasterizer) {
     for (RenderSettings* settings : {&of_first, &of_second}) {
-      settings->float_blending = true;
       settings->rasterizer = rasterizer;
     }
     return pictureOf(maps.first, of_first, maps.second, of_second);
@@ -240,7 +237,6 @@ TEST_F(SplatRendererTest, DrawsMapsOfOtherFramesInOneOrder) {
   second.apply(halves[1].batch(1, {}));
   fill(both);
   RenderSettings settings;
-  settings.float_blending = true;
   settings.rasterizer = Rasterizer::kTiles;
   first.setCamera("first's view", 1, camera());
   SplatCamera moved = camera();

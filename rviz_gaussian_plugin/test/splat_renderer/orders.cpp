@@ -35,7 +35,6 @@ std::vector<float> sortedPicture(SplatScene& scene) {
   std::stable_sort(order->slots.begin(), order->slots.end(),
                    [&](std::uint32_t a, std::uint32_t b) { return depth(a) > depth(b); });
   RenderSettings settings;
-  settings.float_blending = true;
   settings.rasterizer = Rasterizer::kTiles;
   settings.order = OrderSource::kSidecar;
   scene.setCamera("view", 1, camera());
@@ -83,7 +82,6 @@ TEST_F(SplatRendererTest, SortsItselfWhereTheMapHasChangedSinceTheOrder) {
   scene.apply(more.batch(2, {kSplats}));
   const auto expected = picture(scene, Rasterizer::kTiles, OrderSource::kAuto);
   RenderSettings settings;
-  settings.float_blending = true;
   settings.rasterizer = Rasterizer::kTiles;
   settings.order = OrderSource::kSidecar;
   EXPECT_EQ(scene.draw("view", settings, Canvas::kNone).order_source, "gpu");

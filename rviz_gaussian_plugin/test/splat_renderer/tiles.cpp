@@ -83,7 +83,6 @@ TEST_F(SplatRendererTest, ListsSplatsByMacroTiles) {
   std::vector<std::vector<float>> pictures;
   for (const Rasterizer rasterizer : {Rasterizer::kProcessor, Rasterizer::kTiles}) {
     RenderSettings settings;
-    settings.float_blending = true;
     settings.rasterizer = rasterizer;
     scene.setCamera("view", 1, wide);
     scene.draw("view", settings, Canvas::kNone, true);
@@ -347,7 +346,6 @@ TEST_F(SplatRendererTest, DrawsAllTheSameInRegions) {
     std::vector<std::vector<float>> drawn;
     for (RenderSettings each : settings) {
       each.rasterizer = Rasterizer::kTiles;
-      each.float_blending = true;
       scene.setCamera("view", 1, largeCamera());
       for (const bool divided : {false, true}) {
         Surroundings around;

@@ -65,8 +65,6 @@ struct Detail {
 // How a map is drawn.
 struct RenderSettings : SplatSettings {
   int max_sh_degree = kMaxShDegree;
-  // Keep pictures in 32-bit instead of 16-bit floats. They are blended in 32 bits in either case.
-  bool float_blending = false;
   // Nobody waits for a picture: the processor paints after the camera, and the newest picture is
   // shown meanwhile. The level of detail approaches a budget in small steps.
   bool interactive = false;

@@ -48,7 +48,7 @@ class Stage:
         else:
             renderer = self.display
             whose = "AUTO" if order is None else "SIDECAR"
-            settings = {"rasterizer": "TILES", "float_blending": True, "order": whose} | settings
+            settings = {"rasterizer": "TILES", "order": whose} | settings
         renderer.show(splats)
         renderer.use(settings)
         if "detail" in settings:
