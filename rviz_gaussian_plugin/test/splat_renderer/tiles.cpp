@@ -246,11 +246,11 @@ TEST_F(SplatRendererTest, GivesBackTheMemoryOfSplatsThatItSeesNoMore) {
 
 // Long lists whose segments find no memory are blended whole.
 TEST_F(SplatRendererTest, DrawsTheSameWhereSegmentsFindNoMemory) {
-  // So far from each other across and down. [m]
+  // Around the middle of a tile, so far from each other across and down. [m]
   const auto apart = [](float step, std::uint64_t revision) {
     Splats splats;
     for (int i = 0; i < 40000; ++i) {
-      const float x = step * float(i % 200 - 100), y = step * float(i / 200 - 100);
+      const float x = 0.25f + step * float(i % 200 - 100), y = 0.25f + step * float(i / 200 - 100);
       splats.splats.add({x, y, 5}, {0.025f, 0.025f, 0.025f}, 0.01f, {1, 1, 1});
     }
     return splats.batch(revision, {});

@@ -15,6 +15,7 @@ constexpr std::uint32_t kOfSlots = 0xffffffffu;  // level of a page of slots
 }  // namespace
 
 void PageTable::keep(const Frame& frame, const std::vector<std::vector<SeenGroup>>& groups) {
+  all_ = 0;
   first_slots_.clear();
   ranges_.clear();
   layer_begins_.clear();
@@ -64,6 +65,7 @@ void PageTable::keep(const FrameLayer& layer, const std::vector<SeenGroup>& grou
   // if one has it.
   const auto keepShown = [&](const PageShelf& shelf, float own, std::size_t arenas,
                              std::uint32_t level, const auto& placeOf) {
+    all_ += shelf.end - shelf.begin;
     const std::uint32_t group = shelf.bounds.group;
     const PageView& view = groups[group].pages;
     if (!view.mayShow(shelf.bounds)) return;

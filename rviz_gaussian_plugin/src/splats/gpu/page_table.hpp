@@ -29,6 +29,7 @@ class PageTable {
   void keep(const Frame& frame, const std::vector<std::vector<SeenGroup>>& groups);
 
   std::size_t count() const { return first_slots_.size(); }
+  std::size_t all() const { return all_; }  // pages that the maps have, in view or not
   const std::vector<Range>& ranges() const { return ranges_; }
   // The table, as splat_pages.glsl reads it.
   const gl::Buffer& table() const { return table_; }
@@ -50,6 +51,7 @@ class PageTable {
   void keep(const FrameLayer& layer, const std::vector<SeenGroup>& groups, std::size_t first_arena,
             std::size_t first_group);
 
+  std::size_t all_ = 0;
   std::vector<std::uint32_t> first_slots_;
   std::vector<std::size_t> layer_begins_;
   std::vector<Range> ranges_;

@@ -51,9 +51,11 @@ void Projection::prepare(const Frame& frame, double growth) {
       throw gl::Error("the graphics driver's buffers hold " + std::to_string(most) +
                       " projected splats, the pages in view have " + std::to_string(slots()));
     }
-    reserve(std::min(std::max<std::size_t>({room_, withSlack(slots(), growth), SlotPage::kSlots}),
-                     most),
-            frame.cuts());
+    // Room for what the next views may show, but no more than there is or will be.
+    const double all = growth * static_cast<double>(pages_.all() * SlotPage::kSlots);
+    const std::size_t roomy =
+        std::min({withSlack(slots(), growth), static_cast<std::size_t>(all), most});
+    reserve(std::max({room_, slots(), roomy, std::size_t{SlotPage::kSlots}}), frame.cuts());
   }
 }
 
