@@ -3,17 +3,19 @@
 1. The scene is turned upright, its middle is moved to 0 and its radius made 1. Few splats stand for
    all: each is kept with a probability in proportion to its area, and grows to make up for those
    that are not, so pictures of them have the scene's coverage.
-2. Cameras to try stand around the scene, at distances where it fits the picture, nearer ones
-   around its middle, and within, at free places, facing all around. Where the cameras are known
-   that took the scene, they alone are tried.
-3. Those that have many resolved splats before them are drawn. A camera's picture is worth the share
-   of the scene's splats that it shows: not hidden by others, and no smaller than a pixel. Trainers
-   put splats where photographs have detail, so the share is that of the detail that is seen. Near
-   splats that are blurred over much of the picture make it worth less.
-4. A scene that surrounds its free places, such as a room, is shown from within: there, a picture's
-   empty part makes it worth little, and depth more. Another one is shown whole, above all its top.
-5. The best camera is moved about a little while that helps. One outside moves, without turning, to
-   where the scene fits its picture and is in the middle of it; a narrower picture than that is
+2. Cameras to try stand around the scene, where it just fits the picture, amid it around its middle,
+   and within, at free places, facing all around, each as far back as there is room. Where the
+   cameras are known that took the scene, they alone are tried.
+3. Those that have many resolved splats before them are drawn: lightness and warmth of the colours,
+   the size of the splats, and depth. Blur, and what is close to the camera, make a picture worth
+   less.
+4. A scene that surrounds its free places, such as a room, is shown from within. There, a picture is
+   worth its contrast, in all of it and from each part to the next, and its depth: a wall has
+   neither. An empty part makes it worth little.
+5. Another scene is shown whole, above all its top. A picture is worth the share of the scene's
+   splats that it shows: not hidden by others, and no smaller than a pixel. Trainers put splats
+   where photographs have detail, so the share is that of the detail that is seen.
+6. The best camera is moved about a little while that helps. A narrower picture of a whole scene is
    taken from farther away.
 """
 
@@ -35,8 +37,8 @@ from scipy.spatial import cKDTree
 from rosplat_core import harmonics
 from rosplat_core.cameras import Camera, load_cameras, look_at
 from rosplat_core.payload import PACKED, decode
-from rosplat_core.quaternions import from_matrices, product, to_matrices
-from rosplat_core.rendering import Contributions, CpuRenderer, posed
+from rosplat_core.quaternions import from_matrices, product
+from rosplat_core.rendering import CpuRenderer, posed
 from rosplat_core.splats import InputError, PackedSplats, Splats
 from rosplat_core.upright import find_up
 
@@ -49,17 +51,25 @@ POINTS = 1500  # splats by which cameras are chosen that are drawn
 WIDTH, HEIGHT = 128, 72  # of pictures [px]
 FOCAL = 0.5 * HEIGHT / math.tan(math.radians(22.5))  # as in rviz2: 45 degrees from top to bottom
 SHOWN_HEIGHT = 720  # of the picture that a user sees [px]
-ELEVATIONS = (8, 16, 26)  # of cameras around a scene [deg]
+ELEVATIONS = (8, 16, 26, 40)  # of cameras around a scene [deg]
 AZIMUTHS = 12
 RINGS = (1.2, 2.0, 3.2)  # distances of nearer ones, in median distances of splats from the middle
 GRID = 6  # free places are looked for on so many lines each way
 CLEARANCE = 0.1  # from a free place to the nearest splats, in the scene's radii
-DRAWN = {"around": 8, "near": 12, "within": 20, "taken": 40}  # how many cameras are drawn of each
-BLURRED = 40  # standard deviation from which a near splat is blurred [px of SHOWN_HEIGHT]
+BACK, STEPS_BACK = 0.06, 12  # length and number of steps that a camera goes back from there
+PITCHES = (-6, -13)  # of cameras within [deg]
+DRAWN = {"around": 16, "amid": 12, "within": 48, "taken": 40}  # how many cameras are drawn of each
+RESOLVED = 10  # standard deviation of a splat at which it counts half [px of SHOWN_HEIGHT]
+BLURRED = 40  # that from which a near splat is blurred
+CLOSE = 0.15  # distance within which things are too close, in the scene's radii
+TILE = 4  # edge of parts of a picture that are compared [px]
 SURROUNDED = 0.9  # least part of pictures from within that is covered, for the scene to surround it
 NEARBY = 3  # distance within which a scene's extent is measured, in median ones
 MARGIN = 0.9  # part of a picture that a whole object may fill
 NARROWER = (0.5, 1.0, 1.5)  # widths of pictures, in their heights, that it is fitted to as well
+SIZES = (1e-6, 10)  # of splats that can be told, in the scene's radii
+LIGHTNESS, WARMTH = (0.3, 0.6, 0.1), (0.5, 0, -0.5)  # of colours
+NEAR = 1e-3  # depth from which splats are drawn, in distances of the target
 STEPS = 3  # in which the best camera is moved
 PATIENCE = 5.0  # after so long, the best camera so far is taken [s]
 LEAST = 16  # cameras that are drawn all the same
@@ -88,7 +98,7 @@ class FirstView:
         focal = 0.5 * height / math.tan(math.radians(22.5))
         return Camera(
             0, width, height, focal, focal, width / 2, height / 2,
-            look_at(eye, self.target, self.up), near=1e-3 * distance, far=max(1e10, distance),
+            look_at(eye, self.target, self.up), near=NEAR * distance, far=max(1e10, distance),
         )  # fmt: skip
 
 
@@ -133,7 +143,7 @@ def first_view(
     if not len(splats):
         return FirstView(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]))
     stage, began = _Stage(sample(splats), np.asarray(up, np.float64)), time.monotonic()
-    tried = _taken(stage, cameras) if cameras else _around(stage) + _near(stage) + _within(stage)
+    tried = _taken(stage, cameras) if cameras else _around(stage) + _amid(stage) + _within(stage)
     seen = []
     for look in _chosen(stage, tried):
         seen.append((look, stage.seen(look)))
@@ -141,20 +151,21 @@ def first_view(
             break
     within = [found for look, found in seen if look.kind == "within"]
     surrounding = sum(found.surrounds for found in within) > len(within) / 2 > 0
+    if surrounding:
+        seen = [(look, found) for look, found in seen if look.kind != "around"]
     best, found = max(seen, key=lambda pair: pair[1].worth(surrounding))
     step = 1.0
     for _ in range(0 if cameras else STEPS):
         if time.monotonic() > began + PATIENCE:
             break
-        moved = [(look, stage.seen(look)) for look in best.moved(step)]
+        tried = [stage.fitted(look) if best.kind == "around" else look for look in best.moved(step)]
+        moved = [(look, stage.seen(look)) for look in tried]
         look, better = max(moved, key=lambda pair: pair[1].worth(surrounding))
         if better.worth(surrounding) > found.worth(surrounding):
             best, found = look, better
         else:
             step /= 2
-    if cameras or found.within:
-        return stage.placed(best)
-    return stage.placed(*stage.fitted(best))
+    return stage.placed(best)
 
 
 def views_within(splats: Splats, up: ArrayLike) -> list[FirstView]:
@@ -178,6 +189,13 @@ class _Look:
     kind: str
     eye: NDArray[np.float64]
     target: NDArray[np.float64]
+    width: float = 0.0
+    """As FirstView's."""
+
+    @property
+    def away(self) -> NDArray[np.float64]:
+        """From the target to the camera."""
+        return self.eye - self.target
 
     @cached_property
     def view(self) -> NDArray[np.float64]:
@@ -194,51 +212,62 @@ class _Look:
         )
 
     def moved(self, step: float) -> list[_Look]:
-        """The camera moved ahead and back, around its target, up and down, and turned."""
-        away = self.eye - self.target
-        looks = [replace(self, eye=self.target + away * factor) for factor in (0.8, 1.2)]
-        flat = math.hypot(away[0], away[1])
+        """The camera turned to both sides; one outside moved around its target, up and down."""
+        away = self.away
+        looks = []
         for angle in (-0.2 * step, 0.2 * step):
             turn = np.array(
                 [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0],
                  [0, 0, 1]]
             )  # fmt: skip
+            if self.kind != "around":
+                looks.append(replace(self, target=self.eye - turn @ away))
+                continue
+            lift = np.array([0, 0, angle / 2 * math.hypot(away[0], away[1])])
             looks.append(replace(self, eye=self.target + turn @ away))
-            looks.append(replace(self, target=self.eye - turn @ away))
-            lift = np.array([0, 0, angle * flat])
-            looks.append(replace(self, eye=self.eye + lift / 2))
-            looks.append(replace(self, eye=self.eye + lift / 2, target=self.target + lift / 2))
+            looks.append(replace(self, eye=self.eye + lift))
         return looks
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """What a picture shows of the scene, 0 to 1; how much of the picture is covered and blurred.
-
-    depth: mean of what is shown, in the scene's radii, 1 at most. cut: what falls outside the
-    picture counts as so much. contrast: standard deviation of its colours.
-    """
+    """What a picture shows of the scene, 0 to 1, and how."""
 
     shown: float
+    """The share of the scene."""
     covered: float
-    blurred: float
-    depth: float
-    cut: float
+    """The part of the picture that isn't empty."""
+    enclosed: float
+    """The part that the scene itself covers, without what lies far out, such as a sky."""
+    spoilt: float
+    """The part that is close, or near and blurred."""
+    sharp: float
     contrast: float
-    within: bool
-    """Whether the camera is among the splats."""
+    """Standard deviation of the colours, from 0.02."""
+    variety: float
+    """Mean difference between neighbouring parts."""
+    depth: float
+    """Mean of what is shown, in the scene's radii, 1 at most."""
+    vista: float
+    """Depth beyond which a twentieth of the picture is, as above."""
+    cut: float
+    """What falls outside the picture counts as so much."""
+    level: float
+    """Cosine of the angle that the camera looks up or down."""
 
     @property
     def surrounds(self) -> bool:
-        """Whether the scene fills the picture, and hardly with what is too near."""
-        return self.covered > SURROUNDED and self.blurred < 0.2
+        """Whether the scene fills the picture, and mostly with what is not too near."""
+        return self.enclosed > SURROUNDED and self.spoilt < 0.5
 
     def worth(self, surrounding: bool) -> float:
         """surrounding: whether the scene does that."""
-        sharp = self.shown * (1 - self.blurred) ** 2 * math.sqrt(self.contrast)
+        clear = self.sharp**3 * (1 - self.spoilt) ** 4
         if surrounding:
-            return sharp * float(self.covered**20) * self.depth * self.within
-        return sharp * self.covered * math.exp(-min(self.cut, 1.5))
+            lively = self.contrast * self.variety * self.depth * self.vista
+            return lively * clear * float(self.enclosed**10)
+        whole = self.shown * math.exp(-self.cut) * self.level**2
+        return whole * clear * self.variety * math.sqrt(self.covered)
 
 
 class _Stage:
@@ -275,19 +304,18 @@ class _Stage:
         self.core = max(float(np.median(np.linalg.norm(self.positions[counted], axis=1))), 0.05)
         grown = scales / self._radius / np.sqrt(chances)[:, None]
         self._sizes = np.sort(scales, axis=1)[:, 1:].prod(axis=1) ** 0.5 / self._radius
-        longest = scales.argmax(axis=1)
-        axes = to_matrices(splats.orientations[rows])[np.arange(len(rows)), :, longest]
-        self._spans = axes @ self._rotation.T * (scales.max(axis=1) / self._radius)[:, None]
-        self._areas = 2 * math.pi * splats.opacities[rows] * np.sort(grown, axis=1)[:, 1:].prod(1)
         self._sampled = random.choice(len(rows), POINTS, p=self._weights)
-        self.solid = self.positions[splats.opacities[rows] > 0.3]
+        self._solid = cKDTree(self.positions[splats.opacities[rows] > 0.3])
         points = self.positions[self._sampled]
         self._probes = points.T.copy()
         # All of the scene but what lies far out.
-        inside = ((points >= self._lowest) & (points <= self._highest)).all(axis=1)
+        inside = self.holds(points)
+        inside |= ~inside.any()
         self.whole = points[inside]
         self._reach = self._sizes[self._sampled][inside]
-        self._colours = (0.5 + harmonics.C0 * splats.sh[rows, 0].astype(np.float64)).clip(0, 1)
+        colours = (0.5 + harmonics.C0 * splats.sh[rows, 0].astype(np.float64)).clip(0, 1)
+        told = np.log(self._sizes.clip(*SIZES) / SIZES[0]) / math.log(SIZES[1] / SIZES[0])
+        painted = np.column_stack([colours @ LIGHTNESS, 0.5 + colours @ WARMTH, told])
         self._renderer = CpuRenderer(
             Splats(
                 positions=self.positions.astype(np.float32),
@@ -296,7 +324,7 @@ class _Stage:
                 ).astype(np.float32),
                 scales=grown.astype(np.float32),
                 opacities=splats.opacities[rows],
-                sh=np.zeros((len(rows), 1, 3), np.float32),
+                sh=((painted - 0.5) / harmonics.C0).astype(np.float32)[:, None],
             )
         )
 
@@ -311,36 +339,57 @@ class _Stage:
 
     def seen(self, look: _Look) -> _Seen:
         """What a camera's picture shows."""
+        near = NEAR * max(float(np.linalg.norm(look.away)), 1e-6)
         view = look_at(look.eye, look.target)
-        camera = Camera(0, WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2, view)
-        sums = Contributions()
-        self._renderer.contribute(posed(camera), sums)
-        filled = np.zeros(len(self.positions))
-        filled[: len(sums.weight)] = sums.weight
-        rays = self.positions - look.eye
-        z = np.maximum(rays @ look.view[2], 1e-3)
-        visible = np.minimum(1, filled / np.maximum(0.5 * self._areas * (FOCAL / z) ** 2, 1e-9))
-        shown = visible * self._weights * np.minimum(1, _pixels(self._sizes, z))
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True) + 1e-12
-        along = np.sum(self._spans * rays, axis=1, keepdims=True) * rays
-        spans = np.linalg.norm(self._spans - along, axis=1)
-        blurred = filled[(_pixels(spans, z) > BLURRED) & (z < 0.75 * self.core)].sum()
-        pixels = WIDTH * HEIGHT
+        middle = WIDTH / 2, HEIGHT / 2
+        camera = Camera(0, WIDTH, HEIGHT, FOCAL, FOCAL, *middle, view, near=near)
+        drawn = self._renderer.draw(posed(camera), mean_depth=True)
+        painted, alpha = drawn["colour"][..., :3], drawn["colour"][..., 3]
+        covered = float(alpha.mean())
+        depth = np.where(alpha > 0.02, drawn["depth"][..., 0], 0)
+        told = painted[..., 2] / np.maximum(alpha, 1e-3)
+        pixels = _pixels(SIZES[0] * (SIZES[1] / SIZES[0]) ** told, depth)
+        places = depth[..., None] * (_RAYS @ look.view) + look.eye
+        here = np.linalg.norm(places, axis=-1) < NEARBY * self.core
+        close = (depth < CLOSE) | ((pixels > BLURRED) & (depth < 0.75 * self.core))
+        near = painted[..., :2] * here[..., None]
+        tiles = near.reshape(HEIGHT // TILE, TILE, WIDTH // TILE, TILE, 2).mean(axis=(1, 3))
+        steps = (np.abs(np.diff(tiles, axis=axis)).sum(axis=-1).mean() for axis in (0, 1))
+        reach = np.minimum(depth, 1)
         return _Seen(
-            float(shown.sum()),
-            min(1.0, float(filled.sum()) / pixels),
-            float(blurred) / pixels,
-            float(filled @ np.minimum(z, 1)) / max(float(filled.sum()), 1e-9),
-            self._cut(look),
-            self._contrast(filled),
-            bool(((look.eye > self._lowest) & (look.eye < self._highest)).all()),
+            shown=self._shown(look, depth),
+            covered=covered,
+            enclosed=float((alpha * here).mean()),
+            spoilt=float((alpha * close).mean()),
+            sharp=float((alpha / (1 + pixels / RESOLVED)).mean()) / max(covered, 1e-3),
+            contrast=max(0.02, float(tiles.std(axis=(0, 1)).sum())),
+            variety=float(sum(steps)),
+            depth=float(reach.mean()),
+            vista=float(np.quantile(reach, 0.95)),
+            cut=self._cut(look),
+            level=float(np.linalg.norm(look.view[2, :2])),
         )
 
-    def _contrast(self, filled: NDArray[np.float64]) -> float:
-        """Standard deviation of a picture's colours, from 0.02."""
-        weights = filled / max(float(filled.sum()), 1e-9)
-        mean = weights @ self._colours
-        return math.sqrt(max(float(np.sum(weights @ (self._colours - mean) ** 2)), 4e-4))
+    def _shown(self, look: _Look, depth: NDArray[np.float32]) -> float:
+        """The share of the scene's splats that a picture of that depth shows, and resolves."""
+        x, y, z = look.view @ (self._probes - look.eye[:, None])
+        column, row = (
+            (FOCAL * across / np.maximum(z, 1e-6) + side / 2).clip(-1, side)
+            for across, side in ((x, WIDTH), (y, HEIGHT))
+        )
+        inside = (z > 0.02) & (column >= 0) & (column < WIDTH) & (row >= 0) & (row < HEIGHT)
+        met = depth[row[inside].astype(np.intp), column[inside].astype(np.intp)]
+        pixels = _pixels(self._sizes[self._sampled][inside], z[inside])
+        return float(np.sum((z[inside] < 1.1 * met) * np.minimum(1, pixels))) / POINTS
+
+    def holds(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether points (..., 3) are among the splats."""
+        return np.asarray(((points >= self._lowest) & (points <= self._highest)).all(axis=-1))
+
+    def free(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether nothing solid is near points (..., 3); none is free where hardly anything is."""
+        nearest, _ = self._solid.query(points, k=5)
+        return np.asarray((nearest[..., -1] > CLEARANCE) & (self._solid.n >= 5))
 
     def _cut(self, look: _Look) -> float:
         """What falls outside a picture, or to its margin: above it counts most, beside it least."""
@@ -348,9 +397,10 @@ class _Stage:
         z = MARGIN * np.maximum(z, 1e-6)
         above, below = -y * FOCAL > z * HEIGHT / 2, y * FOCAL > z * HEIGHT / 2
         beside = np.abs(x) * FOCAL > z * WIDTH / 2
-        return float(100 * np.mean(above) + 10 * np.mean(below) + 2 * np.mean(beside))
+        cut = 100 * np.mean(above) + 10 * np.mean(below) + 2 * np.mean(beside)
+        return min(float(cut), 1.5)
 
-    def fitted(self, look: _Look) -> tuple[_Look, float]:
+    def fitted(self, look: _Look) -> _Look:
         """The camera moved to where all of the scene fits its picture, and that picture's width.
 
         It is as near as it can be without turning, its target amid the depths that it sees.
@@ -373,20 +423,26 @@ class _Stage:
                 width = max(width, narrow * (1 + float(outside.max()) / distance))
         width = min(width, WIDTH / HEIGHT)
         eye = np.array([*middle, nearest]) @ look.view
-        return replace(look, eye=eye, target=eye + distance * look.view[2]), width
+        return replace(look, eye=eye, target=eye + distance * look.view[2], width=width)
 
-    def placed(self, look: _Look, width: float = 0.0) -> FirstView:
+    def placed(self, look: _Look) -> FirstView:
         """A camera of the stage in the scene's own coordinates."""
         eye, target = (
             (point * self._radius + self._middle) @ self._rotation + self._origin
             for point in (look.eye, look.target)
         )
-        return FirstView(eye, target, self._up, width)
+        return FirstView(eye, target, self._up, look.width)
 
     def staged(self, camera: Camera, distance: float) -> _Look:
         """A scene's camera on the stage, without its roll."""
         eye = (self._rotation @ (camera.position - self._origin) - self._middle) / self._radius
         return _Look("taken", eye, eye + distance * self._rotation @ camera.world_to_camera[2, :3])
+
+
+_COLUMNS, _ROWS = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+_RAYS = np.stack(  # of a picture's pixels, of unit depth
+    [(_COLUMNS - WIDTH / 2) / FOCAL, (_ROWS - HEIGHT / 2) / FOCAL, np.ones_like(_ROWS)], axis=-1
+)
 
 
 def _pixels(sizes: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -429,41 +485,37 @@ def _directions() -> list[NDArray[np.float64]]:
 
 def _around(stage: _Stage) -> list[_Look]:
     """Cameras outside, as near as the scene fits their pictures."""
-    points = stage.whole
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2 if len(points) else np.zeros(3)
-    points = points - middle
-    looks = []
-    for outward in _directions():
-        x, y, z = look_at(outward, np.zeros(3))[:3, :3] @ points.T
-        across = np.maximum(np.abs(x) * FOCAL / (0.42 * WIDTH), np.abs(y) * FOCAL / (0.44 * HEIGHT))
-        distance = max(float(np.quantile(across - z, 0.99)), 0.1) if len(points) else 3.0
-        looks.append(_Look("around", middle + distance * outward, middle))
-    return looks
+    looks = [_Look("around", outward, np.zeros(3)) for outward in _directions()]
+    return [stage.fitted(look) for look in looks]
 
 
-def _near(stage: _Stage) -> list[_Look]:
-    """Cameras around the middle of the splats, as one walks around an object."""
-    return [
-        _Look("near", ring * stage.core * outward, np.zeros(3))
+def _amid(stage: _Stage) -> list[_Look]:
+    """Cameras among the splats, around their middle, as one walks around an object."""
+    looks = [
+        _Look("amid", ring * stage.core * outward, np.zeros(3))
         for ring in RINGS
         for outward in _directions()
     ]
+    return [look for look in looks if stage.holds(look.eye) and stage.free(look.eye)]
 
 
 def _within(stage: _Stage) -> list[_Look]:
-    """Cameras at free places within, facing all around."""
-    if len(stage.solid) < 5:
-        return []
+    """Cameras at free places within, facing all around, as far back as there is room."""
     lines = np.linspace(0.1, 0.9, GRID)
     shares = np.stack(np.meshgrid(lines, lines, [0.4, 0.6], indexing="ij"), -1).reshape(-1, 3)
     places = stage.low + (stage.high - stage.low) * shares
-    distances, _ = cKDTree(stage.solid).query(places, k=5)
-    return [
-        _Look("within", place, place + _outward(math.radians(pitch), math.radians(turn)) * 0.7)
-        for place in places[distances[:, -1] > CLEARANCE]
-        for turn in range(0, 360, 30)
-        for pitch in (-6,)
-    ]
+    places = places[stage.free(places)]
+    looks = []
+    for turn in range(0, 360, 30):
+        back = -BACK * _outward(0, math.radians(turn))
+        lines_back = places[:, None] + np.arange(STEPS_BACK)[:, None] * back
+        room = np.minimum.accumulate(stage.free(lines_back) & stage.holds(lines_back), axis=1)
+        last = np.maximum(room.sum(axis=1) - 1, 0)
+        for eye in lines_back[np.arange(len(places)), last]:
+            for pitch in PITCHES:
+                ahead = _outward(math.radians(pitch), math.radians(turn))
+                looks.append(_Look("within", eye, eye + 0.7 * ahead))
+    return looks
 
 
 def _chosen(stage: _Stage, tried: Sequence[_Look]) -> list[_Look]:

@@ -11,6 +11,8 @@ vertical the splats gather in a few thin layers, and reach less far than along t
 4. A direction counts as up by how thin its layers are for its extent, how much lies above the
    lowest large layer, and how near it is to where trainers have up: -y (COLMAP, first cameras), z
    (REP-103, nerfstudio), or, where cameras are known, to the top of their pictures.
+5. The best is turned over if the scene stands on its lowest points that way, and falls over as it
+   is: an animal has no ground, but legs.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from rosplat_core.cameras import Camera
 from rosplat_core.quaternions import to_matrices
@@ -28,13 +31,16 @@ from rosplat_core.splats import Splats
 DRAWN = 8000  # splats that vote
 TRIED = 300  # directions of flat splats, and as many of planes
 REFINED = 5  # directions that are turned to the thinnest layers
+FOOT = 0.06  # height of what a scene stands on, in its own
+STEADY_FOOT = 0.3  # how far its middle is within the outline of that, for it to stand [radii]
+FALLING = 0.1  # what it counts if it would fall over
 LAYER = 0.02  # thickness of a layer, in the scene's radii
 APART = 0.9  # cosine of two directions that count as one
 OPAQUE = 0.2  # least opacity of a splat that votes
 FINEST = 0.004  # of turning [rad]
 
 # Directions that trainers have up, and how much each is expected.
-CUSTOMS = ((0, -1, 0, 1.0), (0, 0, 1, 1.0), (0, 1, 0, 0.4), (0, 0, -1, 0.3))
+CUSTOMS = ((0, -1, 0, 1.0), (0, 0, 1, 1.0), (0, 1, 0, 0.6), (0, 0, -1, 0.3))
 UNCUSTOMARY = 0.15  # what a direction counts that is across all of them
 NEARLY = 0.94  # cosine of 20 degrees, within which a custom is preferred to
 HARDLY_LESS = 0.75  # what is at most so many times as likely
@@ -74,6 +80,10 @@ def find_up(splats: Splats, cameras: Sequence[Camera] = ()) -> NDArray[np.float6
         thinness[np.abs(tried @ tried[first]) > APART] = 0
     signed = [sign * candidate for candidate in candidates for sign in (1.0, -1.0)]
     found = max(signed, key=lambda up: _likelihood(points @ up, up, customs))
+    found = max(
+        (found, -found),
+        key=lambda up: _likelihood(points @ up, up, customs) * _stands(points, up),
+    )
     custom = customs[(customs[:, :3] @ found).argmax(), :3]
     # Few or noisy splats have layers in many directions.
     if custom @ found > NEARLY and HARDLY_LESS * _likelihood(
@@ -164,6 +174,22 @@ def _thinnest(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArr
         else:
             step /= 2
     return normal
+
+
+def _stands(points: NDArray[np.float64], up: NDArray[np.float64]) -> float:
+    """FALLING to 1: how far the points' middle is within the outline of the lowest ones."""
+    heights = points @ up
+    low, high = np.quantile(heights, [0.005, 0.98])
+    aside = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    aside /= np.linalg.norm(aside)
+    flat = points @ np.array([aside, np.cross(up, aside)]).T
+    flat -= flat.mean(axis=0)
+    foot = flat[heights < low + FOOT * (high - low)]
+    try:
+        within = -float(ConvexHull(foot).equations[:, 2].max())
+    except (QhullError, ValueError):  # a line, or a point
+        within = 0.0
+    return float(np.clip(within / STEADY_FOOT, FALLING, 1))
 
 
 def _likelihood(

@@ -28,6 +28,36 @@ def border(alpha: NDArray[np.float32]) -> float:
     return float(np.mean([*alpha[0], *alpha[-1], *alpha[:, 0], *alpha[:, -1]]))
 
 
+def walls(size: tuple[float, float, float], shade: NDArray[np.float64]) -> Splats:
+    """A box from 0 to size [m], a splat every 5 cm; shade (k,): greys of its tiles."""
+    random = np.random.default_rng(0)
+    places, turns = [], []
+    for axis in range(3):
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        u, v = np.meshgrid(*(np.arange(0, size[other], 0.05) for other in (first, second)))
+        for side in (0.0, size[axis]):
+            points = np.zeros((u.size, 3))
+            points[:, axis], points[:, first], points[:, second] = side, u.ravel(), v.ravel()
+            places.append(points)
+            turns.append(
+                np.tile(
+                    Rotation.from_rotvec(
+                        [(0, np.pi / 2, 0), (np.pi / 2, 0, 0), (0, 0, 0)][axis]
+                    ).as_quat(),
+                    (u.size, 1),
+                )
+            )
+    positions = np.concatenate(places)
+    tile = np.unique(np.floor(positions / 0.7 + 0.01), axis=0, return_inverse=True)[1].ravel()
+    greys = random.choice(shade, tile.max() + 1)[tile]
+    n = len(positions)
+    return Splats(
+        positions=positions, orientations=np.concatenate(turns),
+        scales=np.tile([0.035, 0.035, 0.003], (n, 1)), opacities=np.full(n, 0.95),
+        sh=np.repeat((greys - 0.5)[:, None, None] / 0.2821, 3, axis=2),
+    )  # fmt: skip
+
+
 def row_of(scene: Splats, count: int, step: tuple[float, float, float]) -> Splats:
     poses = np.tile(np.eye(4), (count, 1, 1))
     poses[:, :3, 3] = np.arange(count)[:, None] * step
@@ -77,6 +107,25 @@ def test_rooms_are_shown_from_within(rooms: Splats) -> None:
     assert (view.eye < high).all()
     assert alpha(rooms, view).mean() > 0.95
     assert view.width == 0  # no narrow window moves the camera through a wall
+
+
+def test_a_long_room_is_looked_at_along_its_length() -> None:
+    view = first_view(walls((9, 3, 2.6), np.array([0.2, 0.5, 0.8])), Z)
+    ahead = (view.target - view.eye) / np.linalg.norm(view.target - view.eye)
+    assert abs(ahead[0]) > 0.8
+
+
+@pytest.mark.parametrize("column", [0, 1, 2])
+def test_a_room_is_looked_at_where_it_is_furnished(column: int) -> None:
+    flat = generate(300_000, scene="rooms")
+    low, high = np.array([4 * column - 6.1, -6.1, -1]), np.array([4 * column - 1.9, -1.9, 9])
+    room = flat[((flat.positions > low) & (flat.positions < high)).all(axis=1)]
+    view = first_view(room, Z)
+    assert ((view.eye > low) & (view.eye < high)).all()
+    picture = CpuRenderer(room).render(view.camera(160, 90))[..., :3]
+    parts = picture.reshape(15, 6, 20, 8, 3).mean(axis=(1, 3))
+    steps = [np.abs(np.diff(parts, axis=axis)).sum(axis=-1).mean() for axis in (0, 1)]
+    assert sum(steps) > 0.37  # a bare wall has none
 
 
 def test_views_within_are_of_scenes_that_surround_them(garden: Splats, rooms: Splats) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +12,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rosplat_core.cameras import Camera, look_at
+from rosplat_core.formats import load
 from rosplat_core.generated import generate
 from rosplat_core.splats import Splats
-from rosplat_core.upright import find_up
+from rosplat_core.upright import _stands, find_up
 
 Y_DOWN = Rotation.from_euler("x", 90, degrees=True)  # z becomes -y
 
@@ -40,6 +43,34 @@ def test_z_up_is_found_far_from_zero_and_in_any_unit() -> None:
     far = replace(splats, positions=1e4 * splats.positions, scales=1e4 * splats.scales)
     far = replace(far, origin=np.array([5e6, 4e5, 100.0]))
     assert degrees_between(find_up(far), np.array([0, 0, 1])) < 0.5
+
+
+@pytest.mark.parametrize("euler", [(-90, 0, 0), (180, 0, 0)])
+def test_what_lies_on_its_ground_tells_it_in_rare_axes(euler: tuple[float, float, float]) -> None:
+    rotation = Rotation.from_euler("xyz", euler, degrees=True)
+    splats = turned(generate(20_000, scene="garden"), rotation)
+    assert degrees_between(find_up(splats), rotation.as_matrix()[:, 2]) < 1.5
+
+
+def test_an_animal_stands_on_its_legs() -> None:
+    parts = [  # low and high corners: z [m], y up, x
+        ((-0.5, 0.5, -0.4), (0.5, 0.85, 0.4)),
+        ((0.45, 0.8, -0.2), (0.75, 1.1, 0.2)),
+        *(((x, 0, z), (x + 0.08, 0.5, z + 0.08)) for x in (-0.45, 0.37) for z in (-0.4, 0.32)),
+    ]
+    random = np.random.default_rng(0)
+    positions = np.concatenate([random.uniform(*part, (2000, 3)) for part in parts])[:, ::-1]
+    up = np.array([0.0, 1.0, 0.0])
+    assert _stands(positions, up) > 5 * _stands(positions, -up)
+
+
+@pytest.mark.parametrize("tilt", [0, -90])
+def test_the_wolf_stands_on_its_legs_without_its_file_telling(
+    scene: Callable[[str], Path], tilt: int
+) -> None:
+    rotation = Rotation.from_euler("x", tilt, degrees=True)
+    wolf = turned(replace(load(scene("wolf.spz")), up=None), rotation)
+    assert degrees_between(find_up(wolf), rotation.as_matrix()[:, 1]) < 5
 
 
 def test_cameras_tell_the_vertical_where_customs_mislead() -> None:
