@@ -33,7 +33,7 @@ def test_it_runs_either_way(package: str, path: Path) -> None:
 def test_bench_measures_in_processes_of_its_own(tmp_path: Path) -> None:
     """Each of which runs the script once more."""
     (bench,) = (path for _, path in COMMANDS if path.name == "bench")
-    arguments = ["frame", "--variants", "cpu", "--sizes", "1000", "--seconds", "0.01"]
+    arguments = ["frame", "--variants", "cpu", "--sizes", "1000", "--quick"]
     subprocess.run([bench, *arguments, "--out", str(tmp_path)], check=True)
     assert json.loads((tmp_path / "frame.json").read_text())
 
@@ -44,4 +44,15 @@ def test_bench_measures_in_processes_of_its_own(tmp_path: Path) -> None:
 def test_what_takes_long_to_load_is_loaded_where_an_interrupt_is_quiet(module: str) -> None:
     """As run_module does it, which rosplat_tools.commands are made of."""
     loaded = f"import sys, {module}; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", loaded], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    "module", ["rosplat_tools.cameras.camera", "rviz_gaussian_plugin.viewer.command"]
+)
+def test_scipy_is_loaded_where_it_is_needed(module: str) -> None:
+    """It takes as long as all else that these programs load at their start."""
+    loaded = (
+        f"import sys, {module}; sys.exit(any(name.startswith('scipy.') for name in sys.modules))"
+    )
     assert subprocess.run([sys.executable, "-c", loaded], check=False).returncode == 0

@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from rosplat_core.occupancy import LIGHT, RESOLUTION, OccupancyMap, depth_of, hollows, occupied_by
 from rosplat_core.program.files import replacing
@@ -156,6 +155,8 @@ def _measured(
     inside: NDArray[np.int64],
 ) -> Array:  # fmt: skip
     """Distances by voxel, in voxels. points: of the cells' surfaces, from the centre of voxel 0."""
+    from scipy import ndimage  # takes its time
+
     number = np.full(shape, -1, np.int32)
     number[tuple(cells.T)] = np.arange(len(cells))
     nearest = ndimage.distance_transform_edt(

@@ -14,16 +14,17 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import map_coordinates
-from scipy.sparse import csr_matrix
 
 from rosplat_core.cameras import Camera
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 Array = NDArray[np.float64]
 
@@ -401,7 +402,7 @@ class _Part:
         if self.places is None:
             count = len(self.pixels)
             rows = (np.ones(count, np.float32), self.pixels, np.arange(count + 1))
-            return csr_matrix(rows, shape=(count, self.camera.width * self.camera.height))
+            return _sparse(rows, (count, self.camera.width * self.camera.height))
         return _taps(self.places, self.camera.width, self.camera.height)
 
     @cached_property
@@ -658,6 +659,8 @@ class Straightened:
         self, colours: NDArray[np.uint8], counts: NDArray[np.bool_]
     ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Warps the lens's colours (h, w, 3), linearly, and the mask (h, w) of those that count."""
+        from scipy.ndimage import map_coordinates  # takes its time
+
         if self._places is None:
             return colours, counts
 
@@ -682,7 +685,13 @@ def _taps(places: Array, width: int, height: int) -> csr_matrix:
     shares = wy[:, :, None] * wx[:, None, :]
     ends = np.arange(0, 16 * len(places) + 1, 16, dtype=np.int32)
     taps = (shares.reshape(-1), columns.reshape(-1), ends)
-    return csr_matrix(taps, shape=(len(places), width * height))
+    return _sparse(taps, (len(places), width * height))
+
+
+def _sparse(rows: tuple[NDArray[Any], ...], shape: tuple[int, int]) -> csr_matrix:
+    from scipy.sparse import csr_matrix  # takes its time
+
+    return csr_matrix(rows, shape=shape)
 
 
 def _cubic(t: NDArray[np.float32]) -> NDArray[np.float32]:

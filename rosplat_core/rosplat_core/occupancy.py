@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from rosplat_core._core import OccupancyMap
 from rosplat_core.program.files import replacing
@@ -84,13 +83,15 @@ def occupied_by(
 
 def hollows(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     """Voxels (m, 3) that occupied ones (n, 3) enclose on all sides. Raises InputError."""
+    from scipy.ndimage import binary_fill_holes  # takes its time
+
     least = cells.min(axis=0)
     shape = cells.max(axis=0) - least + 1
     if shape.prod() > MOST_FILLED:
         raise InputError("the map is too wide to be filled: choose a coarser resolution")
     occupied = np.zeros(shape, bool)
     occupied[tuple((cells - least).T)] = True
-    return np.asarray(np.argwhere(ndimage.binary_fill_holes(occupied) & ~occupied) + least)
+    return np.asarray(np.argwhere(binary_fill_holes(occupied) & ~occupied) + least)
 
 
 def grid_of(
@@ -112,6 +113,8 @@ def grid_of(
     begins on the largest area of floor within START_REACH, or a cell; without one, nothing is free.
     The grid covers the occupied voxels of floor and band; without any it is one unknown cell.
     """
+    from scipy.ndimage import label  # takes its time
+
     low, high = band
     height = (cells[:, 2] + 0.5) * resolution - level
     in_band = (height >= low) & (height < high)
@@ -127,7 +130,7 @@ def grid_of(
         x, y = (cells[chosen, :2] - least).T
         mask[y, x] = True
     grid = np.full(shape, UNKNOWN, np.int8)
-    areas, _ = ndimage.label(floor & ~obstacle)
+    areas, _ = label(floor & ~obstacle)
     y, x = np.nonzero(areas)
     middles = (np.column_stack([x, y]) + least + 0.5) * resolution
     reach = max(START_REACH, resolution)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Vector3
 from std_msgs.msg import Header
 
-from rosplat_core.first_look import FirstView as View
 from rosplat_msgs.msg import FirstView
+
+if TYPE_CHECKING:
+    from rosplat_core.first_look import FirstView as View
 
 
 def first_view_message(view: View, frame_id: str, stamp: Time) -> FirstView:
@@ -28,6 +32,8 @@ def first_view_message(view: View, frame_id: str, stamp: Time) -> FirstView:
 
 def read_first_view(message: FirstView) -> View:
     """The view of a message. Raises ValueError for one that is no view."""
+    from rosplat_core.first_look import FirstView as View  # takes its time
+
     eye, target, up = (
         np.array([vector.x, vector.y, vector.z])
         for vector in (message.eye, message.target, message.up)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from rosplat_core.rendering import psnr_of
 
@@ -98,6 +97,8 @@ def figures(rendered: Picture, real: Picture, mask: Mask) -> Figures:
 
 def _ssim(rendered: Picture, real: Picture, mask: Mask) -> float:
     """Takes masked pixels as equal, so that they don't lower the values of their neighbours."""
+    from scipy.ndimage import gaussian_filter  # takes its time
+
     total = 0.0
     for channel in range(3):
         b = real[..., channel]

@@ -8,7 +8,7 @@ import threading
 import time
 import uuid
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,6 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
-from rosplat_core.first_look import FirstView as View
 from rosplat_core.log_text import counted, shown
 from rosplat_core.maps import Arrival
 from rosplat_core.rendering import OrderSource, RenderSettings
@@ -32,6 +31,9 @@ from rosplat_ros.qos import FIRST_VIEW, ORDER, VIEW, overridable
 from rosplat_ros.view_cameras import numbers
 from rviz_gaussian_plugin.offscreen import Renderer
 from rviz_gaussian_plugin.viewer.orbit import bounds
+
+if TYPE_CHECKING:
+    from rosplat_core.first_look import FirstView as View
 
 DISCOVERY = 5.0  # how long stills wait for a sorter to be found [s]
 ASK_AGAIN = 0.25  # how long a still waits for an order before it asks for another [s]

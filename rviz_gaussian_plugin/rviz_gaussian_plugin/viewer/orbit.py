@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera, look_at
-from rosplat_core.first_look import FirstView
+
+if TYPE_CHECKING:
+    from rosplat_core.first_look import FirstView
 
 # Limits of the cameras that the renderer can draw from: 32-bit floats hold the squares of
 # coordinates, and a near plane of 1e-9 to 1e9 m. A map may be larger, or its middle farther away.
