@@ -31,7 +31,7 @@ def test_ranges_are_those_to_the_surfaces() -> None:
     assert flat.mean() > 0.3
     error = np.abs(scan.ranges - met.distances)
     assert np.median(error[flat]) < 0.005
-    clear = flat & off_edges(rooms, eyes, rays, WIDE)
+    clear = flat & off_edges(rooms, eyes, rays, met.sides, WIDE)
     assert clear.mean() > 0.2
     assert np.mean(error[clear] < 0.03) > 0.99
     assert scan.intensities.min() > 0

@@ -101,7 +101,7 @@ def _scanned(name: str, budget: Budget) -> Iterator[Event]:
         to_lidar = np.asarray(np.linalg.inv(pose))
         errors.append(lidar.scan(renderer, to_lidar).ranges - met.distances)
         angles.append(np.degrees(met.angles))
-        clear.append(off_edges(rooms, eyes, pattern.rays, EDGE))
+        clear.append(off_edges(rooms, eyes, pattern.rays, met.sides, EDGE))
     error, angle = np.abs(np.concatenate(errors)), np.concatenate(angles)
     for low, high in (*pairwise(ANGLES), (0, 60)):
         within = (angle >= low) & (angle < high)

@@ -28,16 +28,19 @@ class Meeting:
 
 def meet(rooms: Rooms, eyes: Array, rays: Array) -> Meeting:
     """eyes (n, 3) outside of all boxes [m], rays (n, 3) of unit length."""
-    inverse = 1 / np.where(rays == 0, 1e-12, rays)
+    # Axis by axis: NumPy takes ten times as long for the least of each row of three.
+    origins = np.ascontiguousarray(eyes.T)
+    inverse = 1 / np.ascontiguousarray(np.where(rays == 0, 1e-12, rays).T)
     best, cosines = np.full(len(rays), np.inf), np.zeros(len(rays))
     sides = np.full(len(rays), NOTHING)
     for number, (low, high) in enumerate(rooms.corners()):
-        first, second = (low - eyes) * inverse, (high - eyes) * inverse
-        enters, leaves = np.minimum(first, second), np.maximum(first, second).min(axis=1)
-        axis, at = enters.argmax(axis=1), enters.max(axis=1)
-        nearer = (at < leaves) & (at > 0) & (at < best)
-        best[nearer], sides[nearer] = at[nearer], 3 * number + axis[nearer]
-        cosines[nearer] = np.abs(rays[nearer, axis[nearer]])
+        first, second = ((corner[:, None] - origins) * inverse for corner in (low, high))
+        enters, leaves = np.minimum(first, second), np.maximum(first, second).min(axis=0)
+        at = enters.max(axis=0)
+        nearer = np.flatnonzero((at < leaves) & (at > 0) & (at < best))
+        axis = enters[:, nearer].argmax(axis=0)
+        best[nearer], sides[nearer] = at[nearer], 3 * number + axis
+        cosines[nearer] = np.abs(rays[nearer, axis])
     for centre in rooms.lamp_centres():
         away = eyes - centre
         along = (rays * away).sum(axis=1)
@@ -49,9 +52,10 @@ def meet(rooms: Rooms, eyes: Array, rays: Array) -> Meeting:
     return Meeting(best, sides, np.arccos(cosines.clip(0, 1)))
 
 
-def off_edges(rooms: Rooms, eyes: Array, rays: Array, apart: float) -> NDArray[np.bool_]:
+def off_edges(
+    rooms: Rooms, eyes: Array, rays: Array, sides: NDArray[np.intp], apart: float
+) -> NDArray[np.bool_]:
     """Whether rays so far beside a ray [m] meet the side that it meets, (n,)."""
-    sides = meet(rooms, eyes, rays).sides
     across = np.cross(rays, (0, 0, 1))
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
     same = np.ones(len(rays), bool)
