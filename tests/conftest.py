@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from drawing import Target
-from rosplat_core.simplification import search, views
 from rosplat_lab.bench.embedded import NumberedView
 from rviz_harness import MARKERS, Rviz, World, configuration, map_display
 
@@ -35,19 +34,6 @@ def data_folder() -> Path:
 def reference_folder() -> Path:
     """Pictures of them by another renderer, $ROSPLAT_REFERENCE or ../shared/reference."""
     return _shared_folder("ROSPLAT_REFERENCE", "reference")
-
-
-@pytest.fixture
-def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`simplify` with fewer and smaller views, which are enough for small scenes."""
-    for name, value in {"LEARNT": 24, "FRESH": 20, "ROUNDS": 1, "PIXELS": 320 * 180}.items():
-        monkeypatch.setattr(search, name, value)
-    monkeypatch.setattr(search, "VALUES", 3 * search.PIXELS)
-    for module in (search, views):
-        monkeypatch.setattr(module, "WIDTH", 320)
-        monkeypatch.setattr(module, "HEIGHT", 180)
-    monkeypatch.setattr(views, "FOCAL", views.FOCAL / 3)
-    monkeypatch.setattr(views, "CHECKED", 20)
 
 
 @pytest.fixture(scope="session")

@@ -81,3 +81,18 @@ def make_camera():
         return PosedCamera(**(values | given))
 
     return make
+
+
+@pytest.fixture
+def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`simplify` with fewer and smaller views, which are enough for small scenes."""
+    from rosplat_core.simplification import search, views  # takes its time
+
+    for name, value in {"LEARNT": 24, "FRESH": 20, "ROUNDS": 1, "PIXELS": 320 * 180}.items():
+        monkeypatch.setattr(search, name, value)
+    monkeypatch.setattr(search, "VALUES", 3 * search.PIXELS)
+    for module in (search, views):
+        monkeypatch.setattr(module, "WIDTH", 320)
+        monkeypatch.setattr(module, "HEIGHT", 180)
+    monkeypatch.setattr(views, "FOCAL", views.FOCAL / 3)
+    monkeypatch.setattr(views, "CHECKED", 20)

@@ -16,7 +16,7 @@ from rosplat_core.formats import save as save_scene
 from rosplat_core.generated import generate
 from rosplat_core.ordering import view_of
 from rosplat_core.splats import InputError
-from rosplat_lab.bench import baselines, rviz, scenes, sort, streaming
+from rosplat_lab.bench import baselines, bound, rviz, scenes, simplify, sort, streaming
 from rosplat_lab.bench.command import main
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.line import Line, NoLine
@@ -27,9 +27,16 @@ from rviz_gaussian_plugin.offscreen import ensure_display
 
 
 def bench(out: Path, *arguments: str) -> list[Record]:
-    """What a run of `bench` wrote for its one subject."""
-    assert main([*arguments, "--quick", "--out", str(out)]) == 0
+    """What a run of `bench` wrote for its one subject, each measurement of a few samples."""
+    assert main([*arguments, "--quick", "--seconds", "0.01", "--out", str(out)]) == 0
     return load([out / f"{arguments[0]}.json"])
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch, few_views: None) -> None:
+    """Simplifies within this process, with fewer and smaller views."""
+    for subject in (bound, simplify):
+        monkeypatch.setattr(subject, "isolated", lambda work, *arguments: work(*arguments))
 
 
 def test_sorting_is_measured_for_every_backend_that_is_here(tmp_path: Path) -> None:
@@ -321,6 +328,7 @@ def test_a_list_of_displays_is_refused_with_its_file(tmp_path: Path, text: str, 
         rviz.read_displays(file)
 
 
+@pytest.mark.usefixtures("here")
 def test_a_bound_is_judged_in_views_that_were_held_back(tmp_path: Path) -> None:
     records = bench(tmp_path, "bound", "--sizes", "2k")
     found = {
@@ -337,6 +345,7 @@ def test_a_bound_is_judged_in_views_that_were_held_back(tmp_path: Path) -> None:
         assert worst <= most <= mean + 1
 
 
+@pytest.mark.usefixtures("here")
 def test_ways_to_fewer_splats_are_judged_along_a_path(tmp_path: Path) -> None:
     cameras = scenes.overview(generate(3000), 320, 180, 20)
     save_cameras(tmp_path / "path.json", cameras)
@@ -353,7 +362,7 @@ def test_ways_to_fewer_splats_are_judged_along_a_path(tmp_path: Path) -> None:
 
 def test_a_simulated_robot_is_timed_and_its_lidar_judged(tmp_path: Path) -> None:
     pytest.importorskip("mujoco", reason="no mujoco here (PyPI)")
-    records = bench(tmp_path, "simulate", "--sizes", "60k", "--seconds", "0.01")
+    records = bench(tmp_path, "simulate", "--sizes", "60k")
     found = {(record.name, *record.parameters.values()): record.value for record in records}
     assert found["picture and depth, with physics",] > found["physics of 0.1 s",] > 0
     assert found["error of ranges", "0 to 60 deg", "off edges"] < 5
