@@ -267,6 +267,51 @@ def scenes(folder: Path) -> list[Scene]:
     return made
 
 
+def camera_files() -> list[Scene]:
+    """A small file of cameras of each kind that is read."""
+    pose = np.eye(4).tolist()
+    size, lens = {"width": 64, "height": 48}, {"fx": 50.0, "fy": 50.0}
+    ours = {"id": 1, **size, **lens, "cx": 32.0, "cy": 24.0, "world_to_camera": pose, "near": 0.1}
+    inria = {"id": 1, **size, **lens, "position": [0, 0, 1.0], "rotation": np.eye(3).tolist()}
+    frame = {"file_path": "a.png", "transform_matrix": pose}
+    nerf = {"fl_x": 50.0, "fl_y": 50.0, "w": 64, "h": 48, "k1": 0.1, "camera_model": "OPENCV"}
+    nerf |= {"applied_transform": pose[:3], "applied_scale": 1.0, "frames": [frame, frame]}
+    blender = {"camera_angle_x": 0.7, "frames": [frame | {"w": 64, "h": 48}]}
+    parsed = {"transform": pose[:3], "scale": 0.5}
+    lenses = struct.pack("<QiiQQ4d", 1, 1, 1, 64, 48, 50, 50, 32, 24)
+    image = struct.pack("<i7di6sQ24x", 1, 1, 0, 0, 0, 0, 0, 1, 1, b"a.png", 1)
+    transforms, beside = json.dumps(nerf).encode(), json.dumps(parsed).encode()
+    return [
+        {"cameras.json": json.dumps([ours, ours]).encode()},
+        {"cameras.json": json.dumps([inria, inria]).encode()},
+        {"transforms.json": transforms},
+        {"transforms.json": transforms, "dataparser_transforms.json": beside},
+        {"transforms.json": json.dumps(blender).encode()},
+        {"cameras.txt": b"1 PINHOLE 64 48 50 50 32 24\n", "images.txt": b"1 1 0 0 0 0 0 1 1 a\n\n"},
+        {"cameras.bin": lenses, "images.bin": struct.pack("<Q", 1) + image},
+    ]
+
+
+def lens_files() -> list[Scene]:
+    """A small calibration of each kind."""
+    f_theta = {
+        "resolution": [96, 54], "principal_point": [47.9, 27.4], "max_angle": 1.35,
+        "reference_poly": "ANGLE_TO_PIXELDIST", "linear_cde": [0.99975, 6e-5, -1e-4],
+        "angle_to_pixeldist_poly": [0, 47, -0.95, 2.5, -4.2, 1.5],
+        "pixeldist_to_angle_poly": [0, 0.021, 1e-5, -8e-7, 2.5e-8, -1.8e-10],
+    }  # fmt: skip
+    back = f_theta | {"reference_poly": "PIXELDIST_TO_ANGLE"}
+    bent = (
+        b"image_width: 64\nimage_height: 48\ndistortion_model: plumb_bob\n"
+        b"camera_matrix: { data: [ 43, 0, 30, 0, 43, 22, 0, 0, 1 ] }\n"
+        b"distortion_coefficients: { data: [ -0.34, 0.12, 0.0008, -0.0003, 0 ] }\n"
+        b"projection_matrix: { data: [ 40, 0, 31, 0, 0, 40, 22, 0, 0, 0, 1, 0 ] }\n"
+    )
+    round_ = bent.replace(b"plumb_bob", b"equidistant").replace(b", 0 ] }", b" ] }", 1)
+    files = [{"lens.json": json.dumps(each).encode()} for each in (f_theta, back)]
+    return [*files, {"lens.yaml": bent}, {"lens.yaml": round_}]
+
+
 def usd_scenes(folder: Path) -> list[Scene]:
     """A small scene of each kind of OpenUSD's, which usd-core writes."""
     folder.mkdir()
@@ -314,12 +359,14 @@ def damaged(rng: Generator, data: bytes) -> bytes:
         inside = _damaged_gzip
     elif data[:4] == b"PK\x03\x04":
         inside = _damaged_zip
-    elif data[:1] == b"{":
+    elif data[:1] in (b"{", b"["):
         inside = _damaged_text_of_json
     elif data[:4] == b"glTF":
         inside = _damaged_glb
     elif data[:4] == b"ply\n":
         inside = _damaged_header
+    elif data.isascii() and b"\0" not in data:
+        inside = _damaged_words
     if inside and rng.integers(4):
         return inside(rng, data)
     return _damaged_bytes(rng, data)
@@ -375,6 +422,13 @@ def _damaged_header(rng: Generator, data: bytes) -> bytes:
     words = header.split(b" ")
     words[int(rng.integers(len(words)))] = one_of(rng, [*words, *WORDS])
     return b" ".join(words) + end + rows
+
+
+def _damaged_words(rng: Generator, data: bytes) -> bytes:
+    """Text of which a word is another one of it, or a number."""
+    words = data.split(b" ")
+    words[int(rng.integers(len(words)))] = one_of(rng, [*words, *WORDS, b"nan", b"1e308"])
+    return b" ".join(words)
 
 
 def _damaged_text_of_json(rng: Generator, data: bytes) -> bytes:

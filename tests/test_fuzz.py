@@ -12,6 +12,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
@@ -25,6 +26,8 @@ from std_msgs.msg import Header
 from test_conformance import Display, Publisher, Sorter, Twin
 
 from rosplat_core import _core, depth, formats
+from rosplat_core.cameras import load_cameras
+from rosplat_core.lenses import LensError, Warp
 from rosplat_core.maps import Arrival
 from rosplat_core.posed_camera import CameraError
 from rosplat_core.rendering import CpuRenderer, DrawMode, OrderSource, SplatCamera
@@ -41,6 +44,7 @@ from rosplat_ros.view_cameras import numbers
 from rosplat_sorter.backends import open_backend
 from rosplat_sorter.order_slots import OrderReader
 from rosplat_sorter.shared_orders import OrderBuffer, SharedOrders
+from rosplat_tools.cameras import calibrations
 from rosplat_tools.streaming import detail
 from rviz_gaussian_plugin import _offscreen
 from rviz_gaussian_plugin.offscreen import Renderer
@@ -410,6 +414,59 @@ def read(
     return claims
 
 
+def test_damaged_cameras_and_lenses_are_refused_by_name(tmp_path: Path) -> None:
+    in_a_process("read_cameras", tmp_path)
+
+
+def read_cameras() -> Claims:
+    """A damaged file of cameras, or a calibration, is one, or an InputError that names it."""
+    folder, claims = Path.cwd(), Claims()
+    wholes = [(scene, _load_cameras) for scene in fuzz.camera_files()]
+    wholes += [(scene, _load_lens) for scene in fuzz.lens_files()]
+    loaded = refused = 0
+
+    def check(case: int, rng: np.random.Generator) -> None:
+        nonlocal loaded, refused
+        whole, load = wholes[case % len(wholes)]
+        victim = fuzz.one_of(rng, list(whole))
+        files = whole | {victim: fuzz.damaged(rng, whole[victim])}
+        with tempfile.TemporaryDirectory(dir=folder) as place:
+            path = put(files, Path(place))
+            size = sum(map(len, files.values()))
+            with claims.of(case, size, FLOOR), warnings.catch_warnings():
+                warnings.simplefilter("error")
+                try:
+                    load(path)
+                    loaded += 1
+                except InputError as error:
+                    refused += 1
+                    assert str(error).startswith(place), error
+                    assert "\n" not in str(error)
+                    assert len(str(error)) < 1000
+
+    one_by_one("read_cameras", fuzz.CASES, check)
+    if not fuzz.CASE:
+        assert min(loaded, refused) > fuzz.CASES / 50
+    return claims
+
+
+def _load_cameras(path: Path) -> None:
+    if path.stem == "cameras" and path.suffix != ".json":
+        path = path.parent  # COLMAP's
+    for camera in load_cameras(path, warn=lambda text: None):
+        assert np.isfinite(camera.world_to_camera).all()
+
+
+def _load_lens(path: Path) -> None:
+    info = calibrations.load(str(path))
+    for lens_of in (calibrations.lens_of, lambda info: calibrations.rectified(info)[0]):
+        with contextlib.suppress(LensError):  # says what is wrong with it
+            lens = lens_of(info)
+            if lens.width * lens.height < MOST_PIXELS:
+                for samples in Warp(lens).samples:
+                    assert np.isfinite([samples.x, samples.y]).all()
+
+
 def put(scene: fuzz.Scene, folder: Path) -> Path:
     """Writes a scene's files; returns the one that is opened."""
     for name, content in scene.items():
@@ -482,6 +539,7 @@ def _run(name: str) -> None:
         "draw": draw,
         "read": read,
         "read_usd": read_usd,
+        "read_cameras": read_cameras,
     }
     found = checks[name]().most
     Path(f"{name}.json").write_text(json.dumps(found, indent=1))

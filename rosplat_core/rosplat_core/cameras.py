@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core import foreign_cameras
+from rosplat_core.log_text import shown
 from rosplat_core.program.files import write_text
 from rosplat_core.quaternions import from_matrices, to_matrices
 from rosplat_core.rigid import rigid
@@ -175,7 +176,7 @@ def _camera(entry: Any, where: str) -> Camera:
     try:
         return Camera(**{name: value for name, value in entry.items() if name in known})
     except ValueError as error:
-        raise InputError(f"{where}: {error}") from error
+        raise InputError(f"{where}: {shown(str(error), 300)}") from error
 
 
 def picture_of(path: Path, camera: Camera) -> Path | None:

@@ -146,6 +146,7 @@ class Lens:
             points = np.where((radius <= self._reach[0][-1])[..., None], points, np.nan)
         return points * (self.fx, self.fy) + (self.cx, self.cy)
 
+    @np.errstate(all="ignore")  # NaN where no ray is
     def rays(self, pixels: ArrayLike) -> Array:
         """Rays (..., 3) that arrive at pixels (..., 2), the inverse of project().
 
@@ -167,8 +168,7 @@ class Lens:
             goals = _mapped(np.asarray(np.linalg.inv(self._tilt), np.float64), goals)
         radii = np.linalg.norm(goals, axis=-1)
         found = np.interp(radii, self._reach[1], self._reach[0])
-        with np.errstate(all="ignore"):
-            turn = np.where(radii[..., None] > 0, goals / radii[..., None], 0)
+        turn = np.where(radii[..., None] > 0, goals / radii[..., None], 0)
         if self.is_fisheye:
             for _ in range(NEWTON_STEPS):
                 slope = (self._profile(found + 1e-6) - self._profile(found - 1e-6)) / 2e-6
@@ -292,8 +292,7 @@ class Lens:
         xx = factor + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x + prism_x * x
         yy = factor + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x + prism_y * y
         xy, yx = mixed + prism_x * y, mixed + prism_y * x
-        with np.errstate(all="ignore"):
-            missed = (self._bent(points) - goals) / (xx * yy - xy * yx)[..., None]
+        missed = (self._bent(points) - goals) / (xx * yy - xy * yx)[..., None]
         u, v = missed[..., 0], missed[..., 1]
         return np.stack([yy * u - xy * v, xx * v - yx * u], axis=-1)
 

@@ -30,8 +30,9 @@ def rigid(transform: ArrayLike, name: str) -> NDArray[np.float64]:
             got = type(transform).__name__
         raise ValueError(f"{name}: expected 4x4 finite numbers, got {got}")
     rotation = matrix[:3, :3]
-    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if off > NEARLY or np.linalg.det(rotation) < 0 or (matrix[3] != (0, 0, 0, 1)).any():
+    with np.errstate(all="ignore"):
+        off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if not off <= NEARLY or np.linalg.det(rotation) < 0 or (matrix[3] != (0, 0, 0, 1)).any():
         raise ValueError(f"{name}: expected a rotation and a translation")
     if off <= ROUNDED:
         return matrix

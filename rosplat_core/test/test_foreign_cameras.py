@@ -115,6 +115,15 @@ def quaternion(camera: Camera) -> list[float]:
     return [w, x, y, z]
 
 
+@pytest.mark.parametrize("wrong", [{"camera_angle_x": 0}, {"w": 1e308, "camera_angle_x": 1e-9}])
+def test_numbers_that_no_camera_has_name_it(tmp_path: Path, wrong: dict[str, float]) -> None:
+    path = tmp_path / "transforms.json"
+    frame = {"transform_matrix": np.eye(4).tolist(), "w": 64, "h": 48, **wrong}
+    path.write_text(json.dumps({"frames": [frame]}))
+    with pytest.raises(InputError, match=r"transforms\.json: camera 0: "):
+        load_cameras(path)
+
+
 def test_colmap_in_text(tmp_path: Path) -> None:
     (tmp_path / "sparse/0").mkdir(parents=True)
     model = tmp_path / "sparse/0"

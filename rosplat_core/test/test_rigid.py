@@ -36,6 +36,7 @@ def test_a_rotation_that_is_slightly_off(
     [
         (scaled(1.006), "pose: expected a rotation"),
         (np.diag([1.0, 1, -1, 1]), "pose: expected a rotation"),
+        ([[1e308, -1e308, 0, 0], [1e308, 1e308, 0, 0], *np.eye(4)[2:].tolist()], "expected a rot"),
         (np.full((4, 4), np.nan), "4x4 finite"),
         (np.eye(3), r"4x4 finite numbers, got shape \(3, 3\)"),
         ("here", "4x4 finite numbers, got str"),

@@ -139,6 +139,8 @@ def test_parameters_of_an_f_theta_camera_are_read(tmp_path: Path) -> None:
     ("old", "new", "said"),
     [
         ('"resolution": [960, 540]', '"resolution": 960', "resolution: no data, or not of numbers"),
+        ("[960, 540]", "[Infinity, 540]", "resolution is 'inf', expected a whole number of pixels"),
+        ("[960, 540]", "[NaN, 540]", "resolution is 'nan', expected a whole number of pixels"),
         ("[0, 474,", "[0, -474,", "angle_to_pixeldist_poly rises by -474.0, expected more than 0"),
         ("6e-5", "0.1", "linear_cde is 0.99975, 0.1, -0.0001: a skewed picture"),
         ("ANGLE_TO_PIXELDIST", "BOTH", "reference_poly is 'BOTH', expected ANGLE_TO_PIXELDIST or"),

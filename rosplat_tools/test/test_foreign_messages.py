@@ -3,6 +3,7 @@
 The messages are stand-ins with the fields of the packages' own definitions.
 """
 
+import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -318,6 +319,9 @@ def test_a_model_stays_as_it_is(model: Model) -> None:
         ("splat_array", {"splats.0.harmonics_deg": 9}, "harmonics_deg: 9"),
         ("splat_blob", {"format": "gltf"}, "format: 'gltf'"),
         ("splat_blob", {"compression": "zstd"}, "compression: 'zstd'"),
+        ("splat_blob", {"format": "a\n" + "x" * 5000}, r"format: 'a\\n.{90,120}, known are"),
+        ("splat_blob", {"map_from_source.translation.x": np.inf}, "map_from_source: not finite"),
+        ("splat_blob", {"map_from_source.rotation.w": np.nan}, "map_from_source: not finite"),
         ("splat_blob", {"data": b"ply\n"}, "uncompressed_size"),
         ("splat_blob", {"chunk_index": 1}, "chunk_index: 1"),
         ("splat_tiles", {"encoding": "mesh"}, "encoding: 'mesh'"),
@@ -335,6 +339,26 @@ def test_what_contradicts_itself_is_named(name: str, change: dict[str, Any], err
         setattr(target, last, value)
     with pytest.raises(InputError, match=f"/{name}: .*{error}"):
         read(name, messages)
+
+
+@pytest.mark.parametrize("name", foreign.TYPES)
+def test_numbers_beyond_float_are_dropped_without_a_warning_of_numpy(name: str) -> None:
+    splats = random_splats(8, 1)
+    splats.scales[0] = 3e38
+    splats.positions[1, 0] = np.inf
+    splats.orientations[2] = 3e38
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        messages = written(name, splats)
+    told: list[str] = []
+    reader = foreign.foreign(name).Reader(f"/{name}", told.append)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for message in messages:
+            reader.take(message)
+        found = reader.splats()
+    assert 0 < len(found) < 8
+    assert np.isfinite(found.positions).all()
+    assert np.isfinite(found.scales).all()
 
 
 def test_the_parts_of_a_growing_map_are_kept_once() -> None:

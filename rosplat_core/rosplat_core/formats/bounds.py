@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from rosplat_core.log_text import shown
 from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import InputError
@@ -39,11 +41,12 @@ def claim(path: Path, count: int, unpacked: int, held: int) -> None:
 def refusing(what: str) -> Iterator[None]:
     """Turns errors that a field of a wrong kind causes into a InputError: `what` begins it."""
     try:
-        yield
+        with np.errstate(all="ignore"):  # what isn't finite is found later
+            yield
     except InputError:
         raise
     except (
-        ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError,
+        ValueError, LookupError, TypeError, AttributeError, RecursionError, ArithmeticError,
     ) as error:  # fmt: skip
         raise InputError(f"{what}: {shown(f'{type(error).__name__}: {error}')}") from error
 

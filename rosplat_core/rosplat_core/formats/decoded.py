@@ -258,6 +258,7 @@ class IntoPacked(Into[PackedSplats]):
         return packed
 
 
+@np.errstate(all="ignore")  # what isn't finite is what it looks for
 def usable(columns: Columns) -> NDArray[np.bool_]:
     """(n,) which splats can be drawn. Gives their quaternions unit length."""
     positions, orientations, scales, opacities, sh = columns

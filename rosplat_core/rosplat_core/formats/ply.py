@@ -116,6 +116,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     return from_rows(path, rows, shares, warn, into, model_in(file.comments))
 
 
+@np.errstate(all="ignore")  # of what isn't finite, and is dropped
 def from_rows(
     path: Path,
     rows: Rows,

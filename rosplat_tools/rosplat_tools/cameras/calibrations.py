@@ -87,7 +87,11 @@ def load(path: str) -> CameraInfo:
         content = parse(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{shown(path)}: {error.strerror or error}") from error
-    except (ValueError, yaml.YAMLError) as error:  # of UTF-8, of a date, of too many digits
+    except (
+        ValueError,
+        RecursionError,
+        yaml.YAMLError,
+    ) as error:  # a date, many digits
         raise InputError(f"{shown(path)}: no {kind}: {shown(error, 200)}") from error
     try:
         info = _read(content)
@@ -104,10 +108,7 @@ def _read(content: Any) -> CameraInfo:
         return of_lens(_f_theta(content))
     info = CameraInfo()
     for field, key in (("width", "image_width"), ("height", "image_height")):
-        value = content.get(key)
-        if not isinstance(value, int) or not 0 < value < 1 << 31:
-            raise LensError(f"{key} is {shown(value)!r}, expected a whole number of pixels")
-        setattr(info, field, value)
+        setattr(info, field, *_pixels([content.get(key)], key))
     model = content.get("distortion_model", "")
     if not isinstance(model, str):
         raise LensError(f"distortion_model is {shown(model)!r}, expected a name")
@@ -127,7 +128,7 @@ def _f_theta(content: dict[str, Any]) -> Lens:
     def numbers(key: str, count: int) -> list[float]:
         return _numbers({"data": content.get(key)}, key, count)
 
-    width, height = map(int, numbers("resolution", 2))
+    width, height = _pixels(numbers("resolution", 2), "resolution")
     cx, cy = numbers("principal_point", 2)
     forward, back = numbers("angle_to_pixeldist_poly", 6), numbers("pixeldist_to_angle_poly", 6)
     c, d, e = numbers("linear_cde", 3) if "linear_cde" in content else (1.0, 0.0, 0.0)
@@ -145,6 +146,14 @@ def _f_theta(content: dict[str, Any]) -> Lens:
         known = "ANGLE_TO_PIXELDIST or PIXELDIST_TO_ANGLE"
         raise LensError(f"reference_poly is {shown(reference)!r}, expected {known}")
     return Lens(width, height, c * focal, focal, cx, cy, F_THETA, tuple(coefficients))
+
+
+def _pixels(values: list[Any], key: str) -> list[int]:
+    """Whole numbers of pixels. Raises LensError for what is none."""
+    for value in values:
+        if not isinstance(value, int | float) or value % 1 != 0 or not 0 < value < 1 << 31:
+            raise LensError(f"{key} is {shown(value)!r}, expected a whole number of pixels")
+    return list(map(int, values))
 
 
 def _numbers(matrix: Any, key: str, count: int | None) -> list[float]:

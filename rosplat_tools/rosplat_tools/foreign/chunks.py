@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
+from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError
 
 MOST = 4  # payloads that may be incomplete at once: of an author that stopped, say
@@ -24,7 +25,9 @@ class Chunks:
         if index >= count:
             raise InputError(f"{self._name}: chunk_index: {index} of a chunk_count of {count}")
         if message.compression not in ("", "none"):
-            raise InputError(f"{self._name}: compression: '{message.compression}' is not known")
+            raise InputError(
+                f"{self._name}: compression: {shown(repr(message.compression))} is not known"
+            )
         parts = self._coming.setdefault(key, {})
         parts[index] = bytes(message.data)
         if len(parts) < count:

@@ -16,6 +16,7 @@ from std_msgs.msg import Header
 
 from rosplat_core.formats import ply
 from rosplat_core.formats.decoded import IntoSplats, Warn
+from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError, Splats
 from rosplat_core.view import frame_at
 from rosplat_ros.messages import as_array, plain_frame
@@ -44,6 +45,8 @@ class Reader:
             return False
         turn, shift = message.map_from_source.rotation, message.map_from_source.translation
         orientation = turn.x, turn.y, turn.z, turn.w
+        if not np.isfinite([*orientation, shift.x, shift.y, shift.z]).all():
+            raise InputError(f"{self._name}: map_from_source: not finite")
         pose = frame_at(
             (shift.x, shift.y, shift.z), orientation if any(orientation) else (0.0, 0.0, 0.0, 1.0)
         )
@@ -56,7 +59,8 @@ class Reader:
         if form == rows.NAME:
             return rows.decode(payload, self._name, self._warn)
         if form not in ("ply", "ply_binary", "ply_ascii"):
-            raise InputError(f"{self._name}: format: '{form}', known are {rows.NAME}, ply")
+            known = f"known are {rows.NAME}, ply"
+            raise InputError(f"{self._name}: format: {shown(repr(form))}, {known}")
         with tempfile.NamedTemporaryFile(suffix=".ply") as file:
             file.write(payload)
             file.flush()

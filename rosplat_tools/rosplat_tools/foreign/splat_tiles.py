@@ -13,6 +13,7 @@ import numpy as np
 from std_msgs.msg import Header
 
 from rosplat_core.formats.decoded import Warn
+from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError, Splats, concatenate
 from rosplat_ros.messages import as_array, plain_frame
 from rosplat_tools.foreign import compact_rows as rows
@@ -58,7 +59,7 @@ class Reader:
         elif operation == message.UPSERT_TILE:
             if message.encoding != rows.NAME:
                 raise InputError(
-                    f"{self._name}: encoding: '{message.encoding}', known is {rows.NAME}"
+                    f"{self._name}: encoding: {shown(repr(message.encoding))}, known is {rows.NAME}"
                 )
             payload = self._chunks.take((version, tile), message, MOST_TILES)
             if payload is not None:
