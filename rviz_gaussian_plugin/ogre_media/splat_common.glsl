@@ -23,10 +23,9 @@ struct Tally {
 
 Tally tallied(uint wanted, uint room) { return Tally(min(wanted, room), wanted); }
 
-// Of the splats that a view sees. There is room for all.
+// Of the splats that a view sees.
 struct SeenTally {
-  uint count;
-  uint alike;                                // not 0: radix_settle.comp could not put all in order
+  uint count, unused;  // as a Tally, but there is room for all
   uint nearest, farthest;                    // keys of the depths of all
   uint nearest_coloured, farthest_coloured;  // keys of the depths of splats of kByDepth
 };

@@ -6,8 +6,7 @@ namespace rosplat {
 
 namespace {
 
-constexpr int kPatience = 16;      // frames that need fewer passes until there are fewer
-constexpr int kAllPatience = 256;  // frames until what failed is tried again
+constexpr int kPatience = 16;  // frames that need fewer bits until fewer are sorted
 
 }  // namespace
 
@@ -56,10 +55,10 @@ void OrderedSplats::takeOrder(const OrderPtr& order) {
 }
 
 void OrderedSplats::putInOrder(std::uint32_t capacity) {
-  const std::size_t bytes = std::max<std::size_t>(most(), 1) * sizeof(GLuint);
+  const std::size_t bytes = std::max(projection_.room(), most()) * sizeof(GLuint);
   if (drawn_used_.wastes(bytes)) drawn_.release();
-  drawn_.reserve(bytes, bytes / 8);
-  if (!order_) return sort_.order(projection_.seen(), most(), expected(), bits_, drawn_);
+  drawn_.reserve(bytes, order_ ? bytes / 8 : 0);
+  if (!order_) return sort_.order(projection_.seen(), most(), expected(), key_bits_, drawn_);
   if (order_->slots.empty()) return;
   page_numbers_.upload(projection_.pages().numbers(capacity));
   order_program_.bind("Keys", sort_.keys());
@@ -77,22 +76,19 @@ bool OrderedSplats::checkBits() {
   const GLuint seen = tallies_.wait(Tallies::kSeen, Tallies::kNumber),
                nearest = tallies_.wait(Tallies::kSeen, Tallies::kNearest),
                farthest = tallies_.wait(Tallies::kSeen, Tallies::kFarthest);
-  const bool alike = tallies_.wait(Tallies::kSeen, Tallies::kAlike) != 0;
   count_ = order_ ? order_->slots.size() : seen;
   counts_ = projection_.ofLayers(count_);
   if (order_) return kept_ = true;
-  all_for_ = alike ? kAllPatience : std::max(all_for_ - 1, 0);
-  RadixSort::Bits wanted{farthest > nearest ? bitsOf(farthest - nearest) : 1, all_for_ > 0};
-  const bool lacks = alike || wanted.bits > bits_.most();
-  // One more where that is free, so that the next frame doesn't lack it.
-  const RadixSort::Bits more{wanted.bits + 1, wanted.all};
-  if (more.passes() == wanted.passes() && wanted.dropped() > 0) wanted = more;
-  fewer_for_ = wanted.most() < bits_.most() ? fewer_for_ + 1 : 0;
-  if (lacks || fewer_for_ > kPatience) {
-    bits_ = wanted;
-    fewer_for_ = 0;
+  const int bits = farthest > nearest ? bitsOf(farthest - nearest) : 1;
+  const int key_bits =
+      (bits + RadixSort::kDigitBits - 1) / RadixSort::kDigitBits * RadixSort::kDigitBits;
+  kept_ = key_bits <= key_bits_;
+  fewer_bits_for_ = key_bits < key_bits_ ? fewer_bits_for_ + 1 : 0;
+  if (!kept_ || fewer_bits_for_ > kPatience) {
+    key_bits_ = key_bits;
+    fewer_bits_for_ = 0;
   }
-  return kept_ = !lacks;
+  return kept_;
 }
 
 bool OrderedSplats::hasBalls() const {

@@ -69,9 +69,8 @@ class OrderedSplats {
   UsageTracker drawn_used_;  // of `drawn_`
   std::size_t count_ = 0;
   std::vector<std::size_t> counts_;
-  RadixSort::Bits bits_;  // of the depth keys that are sorted
-  int fewer_for_ = 0;     // frames in a row that needed fewer passes
-  int all_for_ = 0;       // frames until passes may leave bits out again
+  int key_bits_ = 32;       // of the depth keys that are sorted
+  int fewer_bits_for_ = 0;  // frames in a row that needed fewer bits
 };
 
 }  // namespace rosplat

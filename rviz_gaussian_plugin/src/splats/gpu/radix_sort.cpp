@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <numeric>
 #include <random>
 #include <utility>
 #include <vector>
@@ -18,8 +19,6 @@ constexpr std::size_t kBlock = 4096;  // keys that a work group sorts at once, a
 constexpr std::size_t kMostCounters = 512, kLeastCounted = 1024;
 // Digits of all passes that there may be; radix_count.comp has the same.
 constexpr std::size_t kTotals = kDigits * 32 / RadixSort::kDigitBits;
-constexpr int kMostDropped = 4;         // bits that radix_settle.comp sorts
-constexpr std::size_t kSettled = 1024;  // keys that a work group of it sorts
 const Shaders::Files kScatter{"group_sum.glsl", "radix_digit.glsl", "radix_scatter.comp"};
 
 std::size_t blocks(std::size_t count) { return std::max(ceilDiv(count, kBlock), 1u); }
@@ -28,7 +27,6 @@ std::size_t blocks(std::size_t count) { return std::max(ceilDiv(count, kBlock), 
 RadixSort::RadixSort(Shaders& shaders)
     : shaders_(shaders),
       count_(shaders.compute({"radix_digit.glsl", "radix_count.comp"})),
-      settle_(shaders.compute({"radix_digit.glsl", "radix_settle.comp"})),
       scatter_(&shaders.computeInWarps(kScatter, shaders.subgroups() ? kLanes : kFewLanes,
                                        shaders.subgroups())) {
   for (gl::Buffer* buffer : {&totals_, &next_totals_}) {
@@ -57,42 +55,53 @@ bool RadixSort::sortsInSomeWarps() {
 }
 
 bool RadixSort::sortsRight() {
-  // Three full blocks and a part of one, with the top bits of depths. About six keys are alike but
-  // for their lowest bits, some in these, too. A seventh of the keys is left out.
+  // Three full blocks and a part of one; each key about six times, with the top bits of depths; a
+  // seventh of them to be left out.
   constexpr std::size_t kKeys = 3 * kBlock + 1000;
   constexpr GLuint kLeast = 0xbf800000u, kLeftOut = 0xffffffffu;
-  const gl::Buffer numbers(gl::Slice::kAlignment, GL_DYNAMIC_COPY);
-  const gl::Buffer ordered(kKeys * sizeof(GLuint), GL_DYNAMIC_COPY);
-  gl::settle();
-  reserve(kKeys);
   std::minstd_rand random;
-  for (const Bits bits : {Bits{2 * kDigitBits, true}, Bits{2 * kDigitBits + kMostDropped, false}}) {
-    std::vector<GLuint> keys(kKeys), places;
+  std::vector<GLuint> keys(kKeys), values(kKeys);
+  for (GLuint& key : keys) key = random() % 7 == 0 ? kLeftOut : kLeast + 17 * (random() % 2048);
+  const auto placesInOrder = [&] {
+    std::vector<GLuint> places;
     for (GLuint i = 0; i < kKeys; ++i) {
-      const GLuint step = ((1u << bits.bits) - 1) / 2047;
-      keys[i] =
-          random() % 7 == 0 ? kLeftOut : kLeast + step * (random() % 2047) + 5 * (random() % 4);
       if (keys[i] != kLeftOut) places.push_back(i);
     }
     std::stable_sort(places.begin(), places.end(),
                      [&](GLuint a, GLuint b) { return keys[a] < keys[b]; });
-    const std::array<GLuint, 6> tally{static_cast<GLuint>(places.size()), 0, kLeast};
-    const gl::Slice seen{numbers.id(), 0, sizeof(tally)};
+    return places;
+  };
+
+  const gl::Buffer numbers(gl::Slice::kAlignment, GL_DYNAMIC_COPY);
+  gl::Buffer ordered(kKeys * sizeof(GLuint), GL_DYNAMIC_COPY);
+  gl::settle();
+  const gl::Slice seen{numbers.id(), 0, 6 * sizeof(GLuint)};
+  reserve(kKeys);
+  const auto write = [&](std::size_t count) {
+    const std::array<GLuint, 6> tally{static_cast<GLuint>(count), 0, kLeast};
     seen.write(tally.data(), sizeof(tally));
     keys_.write(0, keys.data(), keys.size() * sizeof(GLuint));
-    order(seen, kKeys, kKeys, bits, ordered);
-    std::vector<GLuint> found(places.size());
-    ordered.read(0, found.data(), found.size() * sizeof(GLuint));
-    if (found != places) return false;
-  }
-  return true;
+  };
+  const auto holds = [&](const gl::Buffer& buffer, const std::vector<GLuint>& expected) {
+    std::vector<GLuint> found(expected.size());
+    buffer.read(0, found.data(), found.size() * sizeof(GLuint));
+    return found == expected;
+  };
+  std::vector<GLuint> places = placesInOrder();
+  write(places.size());
+  order(seen, kKeys, places.size(), 2 * kDigitBits, ordered);
+  if (!holds(ordered, places)) return false;
+  // sort() moves values in passes of its own, unlike order(), and leaves out none.
+  std::replace(keys.begin(), keys.end(), kLeftOut, kLeast);
+  places = placesInOrder();
+  std::iota(values.rbegin(), values.rend(), 0u);
+  write(kKeys);
+  ordered.write(0, values.data(), values.size() * sizeof(GLuint));
+  sort(seen, kKeys, 2 * kDigitBits, ordered);
+  std::transform(places.begin(), places.end(), values.begin(), [&](GLuint i) { return keys[i]; });
+  for (GLuint& i : places) i = static_cast<GLuint>(kKeys) - 1 - i;
+  return holds(keys_, values) && holds(ordered, places);
 }
-
-int RadixSort::Bits::passes() const {
-  return std::max((bits + (all ? kDigitBits - 1 : kDigitBits - 1 - kMostDropped)) / kDigitBits, 1);
-}
-
-int RadixSort::Bits::dropped() const { return std::max(bits - kDigitBits * passes(), 0); }
 
 void RadixSort::reserve(std::size_t count) {
   if (room_.wastes(count)) {
@@ -104,19 +113,18 @@ void RadixSort::reserve(std::size_t count) {
   sums_.reserve((1 + blocks(count) * kDigits) * sizeof(GLuint));
 }
 
-void RadixSort::order(const gl::Slice& seen, std::size_t count, std::size_t expected, Bits bits,
+void RadixSort::order(const gl::Slice& seen, std::size_t count, std::size_t expected, int bits,
                       const gl::Buffer& places) {
   if (count > 0) run(seen, count, expected, bits, places);
 }
 
 void RadixSort::sort(const gl::Slice& seen, std::size_t expected, int bits,
                      const gl::Buffer& sorted) {
-  run(seen, 0, expected, {bits}, sorted);
+  run(seen, 0, expected, bits, sorted);
 }
 
-void RadixSort::run(const gl::Slice& seen, std::size_t count, std::size_t expected, Bits bits,
+void RadixSort::run(const gl::Slice& seen, std::size_t count, std::size_t expected, int bits,
                     const gl::Buffer& sorted) {
-  const auto dropped = static_cast<GLuint>(bits.dropped());
   const std::size_t first_expected = count > 0 ? count : expected;
   std::swap(totals_, next_totals_);
   count_.use();
@@ -125,9 +133,8 @@ void RadixSort::run(const gl::Slice& seen, std::size_t count, std::size_t expect
   count_.bind("NextTotals", next_totals_);
   count_.bind("Sums", sums_);
   count_.bind("Seen", seen);
-  count_.set("passes", static_cast<GLuint>(bits.passes()));
+  count_.set("passes", static_cast<GLuint>(passes(bits)));
   count_.set("first_count", static_cast<GLuint>(count));
-  count_.set("dropped", dropped);
   gl::dispatch(std::clamp<std::size_t>(ceilDiv(first_expected, kLeastCounted), 1, kMostCounters));
   gl::storageBarrier();
 
@@ -135,20 +142,18 @@ void RadixSort::run(const gl::Slice& seen, std::size_t count, std::size_t expect
   scatter_->bind("Totals", totals_);
   scatter_->bind("Sums", sums_);
   scatter_->bind("Seen", seen);
-  scatter_->set("dropped", dropped);
-  // Values go back and forth between two buffers, so that `sorted` is written last.
-  const gl::Buffer &to = dropped > 0 ? values_ : sorted, &from = dropped > 0 ? sorted : values_;
-  const int last = bits.passes() - 1;
+  const int last = passes(bits) - 1;
   for (int pass = 0; pass <= last; ++pass) {
+    // Values go back and forth between two buffers, so that the last pass writes to `sorted`.
     const bool there = (last - pass) % 2 == 0;
     scatter_->bind("Keys", keys_);
-    scatter_->bind("Values", there ? from : to);
+    scatter_->bind("Values", there ? values_ : sorted);
     scatter_->bind("SortedKeys", next_keys_);
-    scatter_->bind("SortedValues", there ? to : from);
+    scatter_->bind("SortedValues", there ? sorted : values_);
     scatter_->set("pass", static_cast<GLuint>(pass));
     scatter_->set("are_places", int(count > 0 && pass == 0));
     scatter_->set("first_count", static_cast<GLuint>(pass == 0 ? count : 0));
-    scatter_->set("last_pass", int(count > 0 && dropped == 0 && pass == last));
+    scatter_->set("last_pass", int(count > 0 && pass == last));
     for (const bool announcing : {true, false}) {
       if (announcing && shaders_.groupsWait()) continue;
       scatter_->set("announcing", int(announcing));
@@ -157,16 +162,6 @@ void RadixSort::run(const gl::Slice& seen, std::size_t count, std::size_t expect
     }
     std::swap(keys_, next_keys_);
   }
-  if (dropped == 0) return;
-  settle_.use();
-  settle_.bind("Keys", keys_);
-  settle_.bind("Values", values_);
-  settle_.bind("SortedValues", sorted);
-  settle_.bind("Seen", seen);
-  settle_.bind("Settled", seen);
-  settle_.set("dropped", dropped);
-  gl::dispatch(std::max(ceilDiv(expected, kSettled), 1u));
-  gl::storageBarrier();
 }
 
 std::size_t RadixSort::bytes() const {

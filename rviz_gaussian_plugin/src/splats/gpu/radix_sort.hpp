@@ -17,21 +17,6 @@ constexpr int bitsOf(std::size_t value) { return value ? 1 + bitsOf(value >> 1) 
 // the passes write to in between, too.
 class RadixSort {
  public:
-  static constexpr int kDigitBits = 8;
-
-  // What of the keys is sorted: the lowest `bits` bits, one at least, of their distances from the
-  // nearest. all: in passes alone; else up to four of the lowest bits are left to
-  // radix_settle.comp, which is faster, but sets `alike` of the tally where too many keys differ
-  // in these bits alone.
-  struct Bits {
-    int bits = 32;
-    bool all = true;
-
-    int passes() const;
-    int dropped() const;                                            // bits that passes leave
-    int most() const { return kDigitBits * passes() + dropped(); }  // bits that are sorted
-  };
-
   // The shaders must outlive it.
   explicit RadixSort(Shaders& shaders);
 
@@ -48,32 +33,35 @@ class RadixSort {
   const gl::Buffer& keys() const { return keys_; }
   // Returns where to write the values that sort() shall leave in `sorted`; may be `sorted` itself.
   const gl::Buffer& values(int bits, const gl::Buffer& sorted) const {
-    return Bits{bits}.passes() % 2 == 0 ? sorted : values_;
+    return passes(bits) % 2 == 0 ? sorted : values_;
   }
   // Free for other use between sorts.
   const gl::Buffer& spareKeys() const { return next_keys_; }
 
   // Writes the indices of the first `count` keys, but for those of kNone, to `places`, in the order
-  // of the keys. seen: a SeenTally: how many aren't kNone, and the nearest; expected: about how
-  // many. The keys are lost.
-  void order(const gl::Slice& seen, std::size_t count, std::size_t expected, Bits bits,
+  // of the lowest `bits` bits, one at least, of the keys' distances from the nearest. seen: a
+  // SeenTally: how many aren't kNone, and the nearest; expected: about how many. The keys are lost.
+  void order(const gl::Slice& seen, std::size_t count, std::size_t expected, int bits,
              const gl::Buffer& places);
-  // Sorts keys() by all of these bits in place, and values() to `sorted`. seen: as above, of all
-  // keys.
+  // Sorts all keys() in place, and values() to `sorted`.
   void sort(const gl::Slice& seen, std::size_t expected, int bits, const gl::Buffer& sorted);
 
   std::size_t bytes() const;
 
+  static constexpr int kDigitBits = 8;
+
  private:
+  static int passes(int bits) { return (bits + kDigitBits - 1) / kDigitBits; }
+
   // count: 0: as `seen` has it; no key is kNone, and they have values.
-  void run(const gl::Slice& seen, std::size_t count, std::size_t expected, Bits bits,
+  void run(const gl::Slice& seen, std::size_t count, std::size_t expected, int bits,
            const gl::Buffer& sorted);
   bool sortsInSomeWarps();
   bool sortsRight();
 
   Shaders& shaders_;
   bool lost_ballots_ = false;
-  const gl::Program &count_, &settle_;
+  const gl::Program& count_;
   const gl::Program* scatter_;
   gl::Buffer keys_, next_keys_, values_;
   gl::Buffer totals_, next_totals_;  // how many keys have a digit; next_totals_ are 0 between sorts

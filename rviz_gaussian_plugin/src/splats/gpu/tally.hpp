@@ -58,7 +58,7 @@ class Tallies {
     kCount
   };
   // Words of a Tally and a SeenTally.
-  static constexpr std::size_t kNumber = 0, kWanted = 1, kAlike = 1, kNearest = 2, kFarthest = 3;
+  static constexpr std::size_t kNumber = 0, kWanted = 1, kNearest = 2, kFarthest = 3;
 
   Tallies() : words_(kCount * gl::Slice::kAlignment, GL_DYNAMIC_COPY), report_(kCount * kStride) {
     gl::settle();
