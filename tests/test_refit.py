@@ -115,17 +115,21 @@ def test_gradients_are_those_of_the_reference(
         return float(np.mean(np.square(np.minimum(picture, 1) - target)))
 
     values = splats.values()
+    rows, columns = np.indices(values.shape)
+    # Of each splat a fifth of its harmonics, another fifth of the next one's.
+    checked = (columns < 11) | ((rows + columns) % 5 == 0)
+    if degree:
+        checked[:, :3] = False  # colours change with the direction, which positions leave out
     expected = np.zeros_like(values)
-    for index in np.ndindex(values.shape):
+    for index in map(tuple, np.argwhere(checked)):
         moved = [values.copy(), values.copy()]
         for side, sign in enumerate((1, -1)):
             moved[side][index] += sign * STEP
         expected[index] = (error(moved[0]) - error(moved[1])) / (2 * STEP)
     found_error, found = refit_of(splats).gradient_at(posed(seen), target.astype(np.float32))
     assert found_error == pytest.approx(error(values), rel=1e-5)
+    found = np.where(checked, found, 0)
     for part in (slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 11), slice(11, None)):
-        if degree and part.start == 0:
-            continue  # colours change with the direction of view, which positions leave out
         largest = np.abs(expected[:, part]).max()
         np.testing.assert_allclose(
             found[:, part], expected[:, part], rtol=2e-3, atol=2e-4 * largest
