@@ -108,8 +108,7 @@ class Rviz(DrivenRviz):
             config or configuration(),
             *arguments,
             DISPLAY=self.screen_name,
-            LIBGL_ALWAYS_SOFTWARE="1",
-            **environment,
+            **{"LIBGL_ALWAYS_SOFTWARE": "1"} | environment,
         )
 
     def close(self) -> None:

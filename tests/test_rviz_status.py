@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from rviz_harness import (
     TOP,
@@ -301,6 +302,26 @@ def test_old_opengl_serves_the_processor_alone(tmp_path: Path, world: World) -> 
     finally:
         rviz.close()
         old.close()
+
+
+def test_tiles_without_a_card_are_refused_before_rviz_stands_still(
+    tmp_path: Path, world: World
+) -> None:
+    """Unless the user has told Mesa to draw by the processor, as the other tests have."""
+    rviz = Rviz(tmp_path, config=configuration(map_display()), LIBGL_ALWAYS_SOFTWARE="")
+    try:
+        world.place()
+        world.map.replace(disc((1, 0, 0)))
+        rviz.until(lambda s: red(s).any())
+        if "processor" not in rviz.status("Map")["Frame"][1]:
+            pytest.skip("a graphics card draws")
+        rviz.set("Map", "Rasterizer", value="Tiles")
+        rviz.until_status("Map", "OpenGL", "Warn", "the processor does", "set Rasterizer to Auto")
+        rviz.until_status("Map", "Frame", "Ok", "processor")
+        rviz.set("Map", "Rasterizer", value="Auto")
+        world.spin_until(lambda: "OpenGL" not in rviz.status("Map"))
+    finally:
+        rviz.close()
 
 
 def test_diagnostics_have_the_worst_line_and_figures(rviz: Rviz, world: World) -> None:

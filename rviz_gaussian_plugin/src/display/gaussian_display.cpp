@@ -26,6 +26,7 @@
 #include <utility>
 
 #include "frames.hpp"
+#include "gl/driver.hpp"
 #include "messages.hpp"
 #include "rosplat_core/map/printable.hpp"
 
@@ -162,6 +163,7 @@ void GaussianDisplay::subscribe() {
         return onView(viewport, camera);
       });
   cloud_->setBeforeView([this] {
+    refuseEmulation();
     if (render_service_) render_service_->serve();
     picks_->refresh();
   });
@@ -197,6 +199,16 @@ void GaussianDisplay::applySettings() {
   if (!cloud_) return;
   cloud_->setSettings(settings_->get());
   context_->queueRender();
+}
+
+// Without a card rviz would stand still for ten seconds, until all shaders are compiled, and for
+// one or more at each frame.
+void GaussianDisplay::refuseEmulation() {
+  RenderSettings settings = cloud_->settings();
+  if (settings.rasterizer != Rasterizer::kTiles) return;
+  if (gl::accelerated() || gl::emulationIsWanted()) return;
+  settings.rasterizer = Rasterizer::kProcessor;
+  cloud_->setSettings(settings);
 }
 
 void GaussianDisplay::openScene() {
@@ -347,6 +359,10 @@ std::vector<StatusLine> GaussianDisplay::statusLines() {
     lines.push_back({StatusProperty::Error, kGraphics, error});
   } else if (const std::string warning = scene.warning(); !warning.empty()) {
     lines.push_back({StatusProperty::Warn, kGraphics, warning});
+  } else if (settings_->get().rasterizer != cloud_->settings().rasterizer) {
+    lines.push_back({StatusProperty::Warn, kGraphics,
+                     "no graphics card draws here: the processor does, not Tiles, which would take "
+                     "seconds a picture; set Rasterizer to Auto"});
   }
   if (!draws || received.batches == 0) return lines;
   if (const std::string error = settings_->detailError(); !error.empty()) {

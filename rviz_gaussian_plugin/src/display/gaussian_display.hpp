@@ -60,6 +60,7 @@ class GaussianDisplay : public rviz_common::Display {
   void endService();
   bool takeDrop(const QString& path);
   void applySettings();
+  void refuseEmulation();
   std::string onView(const Ogre::Viewport* viewport, const SplatCamera& camera);
   void publishPicked(const std::vector<SplatValues>& splats);
   void updateTransform();

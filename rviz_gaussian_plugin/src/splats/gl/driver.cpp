@@ -1,5 +1,6 @@
 #include "gl/driver.hpp"
 
+#include <cstdlib>
 #include <string_view>
 
 namespace rosplat::gl {
@@ -21,6 +22,12 @@ bool accelerated() {
     if (renderer.find(software) != std::string_view::npos) return false;
   }
   return true;
+}
+
+bool emulationIsWanted() {
+  const char* wanted = std::getenv("LIBGL_ALWAYS_SOFTWARE");
+  const std::string_view value = wanted ? wanted : "";
+  return value == "1" || value == "true";
 }
 
 std::string unsupported() {

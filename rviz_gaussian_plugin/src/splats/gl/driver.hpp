@@ -25,6 +25,9 @@ bool hasFramebuffers();
 // Whether a graphics card draws in the current context, not the processor.
 bool accelerated();
 
+// Whether OpenGL is drawn by the processor because the user has told Mesa so.
+bool emulationIsWanted();
+
 // An empty string where the current context can draw splats, else a sentence for the user.
 std::string unsupported();
 
