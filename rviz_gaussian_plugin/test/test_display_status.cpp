@@ -89,7 +89,7 @@ TEST(TopicStatus, saysWhyAMapWithoutAFrameIsNotDrawn) {
 TEST(TopicStatus, guessesThatAnotherUsersPublisherIsNotHeard) {
   GaussianClient::Status received = heard(0);
   received.other_user = true;
-  EXPECT_TRUE(has(topicStatus(received), "is the publisher another user's?"));
+  EXPECT_TRUE(has(topicStatus(received), "Another user's publisher?"));
   received.unheard = "best effort";  // which is known
   EXPECT_FALSE(has(topicStatus(received), "user"));
   received = heard(0);

@@ -64,8 +64,8 @@ StatusLine topicStatus(const GaussianClient::Status& received) {
     }
     if (received.unheard.empty() && received.other_user) {
       return line(StatusProperty::Warn,
-                  "No batch received: is the publisher another user's? Shared memory delivers "
-                  "nothing between users");
+                  "Another user's publisher? No batch received; shared memory delivers nothing "
+                  "between users");
     }
     if (received.unheard.empty()) return line(StatusProperty::Warn, "No batch received yet");
     return line(StatusProperty::Warn, "No batch received: a publisher is " + received.unheard);
