@@ -232,7 +232,7 @@ Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
   return e;
 }
 
-// Whether the picture may show a slot, p in the camera's frame: the sorters' test (rosplat_sorter/depth.py derives it),
+// Whether the picture may show a slot, p in the camera's frame: the sorters' test (rosplat_core/depth.py derives it),
 // operation by operation, so that this shader and the sorters find the same slots.
 bool mayBeSeen(Page page, uint slot, vec3 mean, vec3 p) {
   float opacity = opacityUnit(page) * slotOpacity(slot);
