@@ -26,8 +26,8 @@
 #include <utility>
 
 #include "frames.hpp"
-#include "gl/driver.hpp"
 #include "messages.hpp"
+#include "renderers.hpp"
 #include "rosplat_core/map/printable.hpp"
 
 namespace rosplat {
@@ -205,8 +205,7 @@ void GaussianDisplay::applySettings() {
 // one or more at each frame.
 void GaussianDisplay::refuseEmulation() {
   RenderSettings settings = cloud_->settings();
-  if (settings.rasterizer != Rasterizer::kTiles) return;
-  if (gl::accelerated() || gl::emulationIsWanted()) return;
+  if (!isEmulated(settings.rasterizer)) return;
   settings.rasterizer = Rasterizer::kProcessor;
   cloud_->setSettings(settings);
 }

@@ -38,4 +38,8 @@ DrawnBy drawnBy(Rasterizer rasterizer) {
   return by_processor ? DrawnBy::kProcessor : DrawnBy::kCard;
 }
 
+bool isEmulated(Rasterizer rasterizer) {
+  return drawnBy(rasterizer) == DrawnBy::kCard && !gl::accelerated() && !gl::emulationIsWanted();
+}
+
 }  // namespace rosplat
