@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <random>
@@ -119,4 +120,70 @@ TEST(Conic, OutlineIsWhereTheDistanceIsTheCut) {
     }
   }
   EXPECT_GT(closed, 1000);
+}
+
+TEST(Conic, ReachEndsWhereAPlaneThroughTheCameraTouches) {
+  std::mt19937 random(3);
+  std::uniform_real_distribution<double> cut(0.1, 11);
+  std::uniform_real_distribution<double> offset(-2000, 2000);
+  int bounded = 0, unbounded = 0, mirrors = 0, behind = 0;
+  for (int i = 0; i < 4000; ++i) {
+    Seen seen = randomSplat(random, i % 2);
+    for (double& scale : seen.scales) scale *= 4;  // many are open
+    const double cut2 = cut(random);
+    const Conic<double> conic = seen.conic<double>();
+    const bool open = outlineOf(conic, cut2).w < 0;
+    const auto root = [](auto v) { return std::sqrt(v); };
+    const Reach<double> reach = reachOf(conic, cut2, root);
+    const Reach<float> rounded = reachOf(seen.conic<float>(), float(cut2), root);
+    const auto check = [&](double exact, double of_floats, std::size_t axis, double side) {
+      // Of the plane's distance from the mean over the splat's deviation along the plane's normal.
+      const auto square = [&](double d) {
+        Vector normal = {0, 0, -seen.mean[axis] / seen.mean[2] - side * d / seen.focal};
+        normal[axis] = 1;
+        double variance = 0;
+        for (std::size_t k = 0; k < 3; ++k) {
+          variance += std::pow(seen.scales[k] * dot(seen.axes[k], normal), 2);
+        }
+        return std::pow(dot(normal, seen.mean), 2) / variance;
+      };
+      if (exact < 1e7) {
+        EXPECT_NEAR(square(exact), cut2, 1e-3 * cut2);
+        bounded += open;
+      } else {
+        ++unbounded;
+        for (const double d : {1.0, 1e2, 1e4, 1e6}) EXPECT_LT(square(d), 1.001 * cut2);
+      }
+      EXPECT_GE(of_floats, 0.9999 * std::min(exact, 1e4));
+    };
+    if (open) {
+      const auto mirrored = [&](double mirror, double reach_of, double g) {
+        if (mirror == 0) return;
+        EXPECT_EQ(mirror > 0, g > 0);
+        EXPECT_GE(std::fabs(mirror), 0.99 * reach_of);
+        ++mirrors;
+      };
+      mirrored(reach.mirror_x, conic.g[0] > 0 ? reach.right : reach.left, conic.g[0]);
+      mirrored(reach.mirror_y, conic.g[1] > 0 ? reach.down : reach.up, conic.g[1]);
+      // Rays beyond are not met behind the camera.
+      for (int k = 0; k < 20; ++k) {
+        const double dx = offset(random), dy = offset(random);
+        const auto [square, depth] = seen.distance(dx, dy);
+        if (square > 0.999 * cut2 || depth > 0) continue;
+        ++behind;
+        const auto within = [](double d, double mirror) {
+          return mirror == 0 || (mirror > 0 ? d >= mirror : d <= mirror);
+        };
+        EXPECT_TRUE(within(dx, reach.mirror_x) && within(dy, reach.mirror_y));
+      }
+    }
+    check(reach.left, rounded.left, 0, -1);
+    check(reach.right, rounded.right, 0, 1);
+    check(reach.up, rounded.up, 1, -1);
+    check(reach.down, rounded.down, 1, 1);
+  }
+  EXPECT_GT(bounded, 500);
+  EXPECT_GT(unbounded, 500);
+  EXPECT_GT(mirrors, 500);
+  EXPECT_GT(behind, 500);
 }

@@ -426,9 +426,15 @@ struct Ellipse {
   Floats determinant;
 };
 
-// The outline of a conic around a point; an ellipse around the whole picture where it is open.
+// A rectangle in the picture. [px]
+struct Box {
+  Floats left, right, top, bottom;
+};
+
+// The outline of a conic around a point; an ellipse around the whole picture where it is open, and
+// `box` is then what it reaches.
 Ellipse ellipseOf(const ProjectView& view, const Conic<Floats>& conic, Floats cut2, Floats x,
-                  Floats y, Vec2 spot) {
+                  Floats y, Vec2 spot, Box& box) {
   const Outline<Floats> o = outlineOf(conic, cut2);
   Ellipse e = {x + o.x, y + o.y, o.xx, o.xy, o.yy, o.determinant};
   if (view.model == Model::kDisc) {  // with room for the spot
@@ -442,6 +448,29 @@ Ellipse ellipseOf(const ProjectView& view, const Conic<Floats>& conic, Floats cu
   const float size = view.width + view.height;
   const Ints closed = (o.w > kLeastAhead) & (cut2 * (e.a + e.c) < 1e4f * size * size);
   const Floats around = size * size / cut2;
+  box = {e.x - sqrt(cut2 * e.a), e.x + sqrt(cut2 * e.a), e.y - sqrt(cut2 * e.c),
+         e.y + sqrt(cut2 * e.c)};
+  if (any(~closed)) {
+    const Reach<Floats> reach = reachOf(conic, cut2, [](Floats v) { return sqrt(v); });
+    const Floats of_spot = sqrt(cut2 * (1.0f / kSpot));
+    const bool has_spot = view.model == Model::kDisc;
+    // As far as the picture shows none of the mirror image.
+    const auto beyond = [](Floats at, Floats mirror, float pixels) {
+      return ((mirror > 0.0f) & (at + mirror > pixels)) | ((mirror < 0.0f) & (at + mirror < 0.0f));
+    };
+    const Ints bounded =
+        beyond(x, reach.mirror_x, view.width) | beyond(y, reach.mirror_y, view.height);
+    const auto lower = [&](Floats at, Floats in_spot, Floats of_closed) {
+      const Floats least = has_spot ? min(at, in_spot - of_spot) : at;
+      return closed ? of_closed : bounded ? max(least, all(-size)) : all(-size);
+    };
+    const auto upper = [&](Floats at, Floats in_spot, Floats of_closed) {
+      const Floats most = has_spot ? max(at, in_spot + of_spot) : at;
+      return closed ? of_closed : bounded ? min(most, all(2.0f * size)) : all(2.0f * size);
+    };
+    box = {lower(x - reach.left, spot.x, box.left), upper(x + reach.right, spot.x, box.right),
+           lower(y - reach.up, spot.y, box.top), upper(y + reach.down, spot.y, box.bottom)};
+  }
   return {closed ? e.x : all(0.5f * view.width),
           closed ? e.y : all(0.5f * view.height),
           closed ? e.a : around,
@@ -667,24 +696,28 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
                     all(kMaxSigmas));
     Ellipse outline = {x, y, a, b, c, det};
     Vec2 spot = {x, y};
+    Box around;
     if constexpr (kConic) {
       if (view.model == Model::kDisc) {
         Vec2 beside;
         spotOf(conic, beside.x, beside.y);
         spot = {x + beside.x, y + beside.y};
       }
-      outline = ellipseOf(view, conic, max(sigmas * sigmas, all(1e-6f)), x, y, spot);
+      outline = ellipseOf(view, conic, max(sigmas * sigmas, all(1e-6f)), x, y, spot, around);
     }
-    const Floats reach_x = sigmas * sqrt(outline.a);
     Floats reach_y = sigmas * sqrt(outline.c);
+    if constexpr (!kConic) {
+      const Floats reach_x = sigmas * sqrt(outline.a);
+      around = {x - reach_x, x + reach_x, y - reach_y, y + reach_y};
+    }
     const Floats window_depth = windowDepthOf(view, p.z);
-    PixelSpan columns = pixelsIn(outline.x - reach_x, outline.x + reach_x, int(view.width));
-    PixelSpan lines = pixelsIn(outline.y - reach_y, outline.y + reach_y, int(view.height));
+    PixelSpan columns = pixelsIn(around.left, around.right, int(view.width));
+    PixelSpan lines = pixelsIn(around.top, around.bottom, int(view.height));
     Ints seen = (opacity >= kCutoffAlpha) & (major < 1e16f);
     if (!view.through_lens) seen &= window_depth >= 0.0f;
     if constexpr (kLens) seen &= imaged.met;
-    seen &= (outline.x + reach_x > 0.0f) & (outline.y + reach_y > 0.0f) &
-            (outline.x - reach_x < view.width) & (outline.y - reach_y < view.height);
+    seen &= (around.right > 0.0f) & (around.bottom > 0.0f) & (around.left < view.width) &
+            (around.top < view.height);
     seen &= (columns.first < columns.last) & (lines.first < lines.last);
     seen &= counting() < float(lanes);
     Ints aside_lanes = {};
@@ -900,7 +933,7 @@ void atSamples(const TileSamples& samples, int top, const Record& e, const RaySh
     const Floats exponent = max(on_ray, of_spot);
     const Ints covered = exponent >= end;
     if (!any(covered)) continue;
-    blend(i, exponent, covered, on_ray < of_spot ? depth : max(depth * along * over, Floats{}));
+    blend(i, exponent, covered, on_ray >= of_spot ? max(depth * along * over, Floats{}) : depth);
   }
 }
 
@@ -965,7 +998,7 @@ bool walk(const ListedTile& tile, const float* transmittance, const float* behin
           Floats below = all(dy + e.y - shape.spot_y);
           rows([&](Floats& exponent, Floats& seen) {
             const Floats of_spot = fma(-spot * below, below, level);
-            seen = exponent < of_spot ? depth : seen;
+            seen = exponent >= of_spot ? seen : depth;
             exponent = max(exponent, of_spot);
             below += 1.0f;
           });

@@ -38,8 +38,13 @@
 //   deviations
 //
 // while w > 0: the ellipsoid of c deviations is in front of the camera's plane z = 0. Else the
-// outline is open, and the whole picture may show the splat. All sums are of squares or of
-// products of cross products, so that float32 holds needles and discs.
+// outline is open. Closed or open, it ends, to the right of p, where a plane through the camera
+// touches the ellipsoid: the line at d of the dual conic, w d^2 + 2 c^2 g_x d - c^2 S_xx = 0, so
+//
+//   d = c^2 S_xx / (sqrt(c^2 S_xx - c^4 |right x ahead|^2) + c^2 g_x)
+//
+// and nowhere if the root is imaginary or the divisor is not more than 0. To the left, -g_x. All
+// sums are of squares or of products of cross products, so that float32 holds needles and discs.
 //
 // 2DGS gives each disc a spot around the centre of its outline at one deviation, of half a pixel's
 // variance: the distance of which the smaller one counts is kSpot times the square of the offset.
@@ -50,6 +55,8 @@
 #include "rosplat_core/slots/constants.hpp"
 
 namespace rosplat {
+
+constexpr float kUnbounded = 1e9f;  // more than any picture [px]
 
 template <typename Real>
 struct Rows {
@@ -62,6 +69,7 @@ struct Conic {
   Real determinant;  // of S
   Real g[2];         // [px]
   Real ahead;        // ahead.ahead
+  Real aside[2];     // |right x ahead|^2, |down x ahead|^2 [px^2]
   Real tilt[2];      // [1/px]
   Real nearness;
 };
@@ -73,6 +81,13 @@ struct Outline {
   Real xx, xy, yy;   // covariance [px^2]
   Real determinant;  // of the covariance
   Real w;            // the other numbers mean nothing where it is less than kLeastAhead
+};
+
+// How far an outline reaches from p: 0 to kUnbounded. [px]
+template <typename Real>
+struct Reach {
+  Real left, right, up, down;
+  Real mirror_x, mirror_y;  // where its mirror image begins, from p on; 0 where that is anywhere
 };
 
 namespace conic {
@@ -107,6 +122,8 @@ Conic<Real> conicOf(const Rows<Real>& rows) {
   c.g[0] = dot(rows.ahead, rows.right);
   c.g[1] = dot(rows.ahead, rows.down);
   c.ahead = dot(rows.ahead, rows.ahead);
+  c.aside[0] = dot(beside, beside);
+  c.aside[1] = dot(below, below);
   const Real over = 1.0f / c.determinant;
   c.tilt[0] = dot(below, area) * over;
   c.tilt[1] = dot(beside, area) * over;
@@ -129,6 +146,32 @@ Outline<Real> outlineOf(const Conic<Real>& c, Real cut2) {
   // |S| (1 + cut2 g' S^-1 g / w) / w^2, and g' S^-1 g is ahead.ahead less nearness.
   o.determinant = c.determinant * over * over * (1.0f + cut2 * over * (c.ahead - c.nearness));
   return o;
+}
+
+// root(v): the square root of v >= 0. cut2: the square of c. A little more than exact, for
+// rounding.
+template <typename Real, typename Root>
+Reach<Real> reachOf(const Conic<Real>& c, Real cut2, const Root& root) {
+  constexpr float kMore = 1e-5f;
+  const Real past = cut2 * c.ahead - 1.0f;  // -w
+  const auto along = [&](Real spread, Real aside, Real g, Real& less, Real& more, Real& mirror) {
+    const Real square = spread - (1.0f + kMore) * cut2 * aside;
+    const auto ends = square > 0.0f;
+    const Real deviation = root(cut2 * (ends ? square : Real{}));
+    const auto towards = [&](Real over) {
+      const Real reach = (1.0f + kMore) * cut2 * spread / over;
+      return ends & (over > 0.0f) & (reach < kUnbounded) ? reach : kUnbounded + Real{};
+    };
+    less = towards(deviation - cut2 * g);
+    more = towards(deviation + cut2 * g);
+    const Real beyond = (1.0f - kMore) * (cut2 * g + (g > 0.0f ? deviation : -deviation)) / past;
+    const Real end = g > 0.0f ? kUnbounded + Real{} : -kUnbounded + Real{};
+    mirror = past > 0.0f ? (ends ? beyond : Real{}) : end;
+  };
+  Reach<Real> reach;
+  along(c.xx, c.aside[0], c.g[0], reach.left, reach.right, reach.mirror_x);
+  along(c.yy, c.aside[1], c.g[1], reach.up, reach.down, reach.mirror_y);
+  return reach;
 }
 
 // Where a disc's spot is, from p. [px]
