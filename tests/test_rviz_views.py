@@ -165,6 +165,31 @@ def test_an_offered_view_is_shown_whole_in_a_narrower_window(rviz: Rviz, world: 
     assert width / height < 2
 
 
+def test_a_view_from_inside_is_one_that_turns_on_the_spot(rviz: Rviz, world: World) -> None:
+    """rviz's Orbit would carry the camera through the walls."""
+    from geometry_msgs.msg import Point, Vector3
+    from std_msgs.msg import Header
+
+    from rosplat_msgs.msg import FirstView
+    from rosplat_ros.qos import FIRST_VIEW
+
+    world.place()
+    offers = world.node.create_publisher(FirstView, "gaussians/first_view", FIRST_VIEW)
+    eye = Point(x=-3.0, y=0.5, z=4.5)
+    offer = FirstView(header=Header(frame_id=world.frame), eye=eye, inside=True)
+    offer.target, offer.up = Point(x=5.0, y=0.5, z=1.5), Vector3(z=1.0)
+    offers.publish(offer)
+    world.map.replace(disc((1, 0, 0), x=5.0, y=0.5, z=1.5, sigma=0.2))
+    rviz.load(configuration(map_display(**{"Fit View": True}), view=ORBIT))
+    views = Views(world)
+    rviz.until(lambda s: red(s).any())
+    world.spin_until(lambda: views.cameras)
+    position = next(iter(views.cameras.values())).pose.position
+    assert (position.x, position.y, position.z) == pytest.approx((-3.0, 0.5, 4.5), abs=1e-3)
+    here = rviz.picture()
+    assert red(here)[:, here.shape[1] // 2].any()
+
+
 def test_view_controllers(rviz: Rviz, world: World) -> None:
     """Perspective and orthographic, each puts the splats where its camera sees them."""
     world.place(x=0.3, yaw=0.5, z=-0.2)

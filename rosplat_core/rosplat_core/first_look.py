@@ -85,6 +85,8 @@ class FirstView:
     up: NDArray[np.float64]
     width: float = 0.0
     """Of a picture that all of the scene fits, in its heights; 0 for a view from within."""
+    inside: bool = False
+    """Whether the scene surrounds the camera, as a room does."""
 
     def eye_for(self, width: float, height: float) -> NDArray[np.float64]:
         """Where the camera is for a window of width x height: farther away for a narrow one. [m]"""
@@ -165,7 +167,7 @@ def first_view(
             best, found = look, better
         else:
             step /= 2
-    return stage.placed(best)
+    return replace(stage.placed(best), inside=found.surrounds)
 
 
 def views_within(splats: Splats, up: ArrayLike) -> list[FirstView]:

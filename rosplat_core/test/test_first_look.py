@@ -80,6 +80,7 @@ def test_an_object_is_shown_whole_from_above_its_ground(garden: Splats) -> None:
     assert picture.mean() > 0.2
     assert border(picture) < 0.02
     assert view.eye[2] > 0.2
+    assert not view.inside
 
 
 @pytest.mark.parametrize("kind", ["garden", "long", "tall"])
@@ -107,6 +108,7 @@ def test_rooms_are_shown_from_within(rooms: Splats) -> None:
     assert (view.eye < high).all()
     assert alpha(rooms, view).mean() > 0.95
     assert view.width == 0  # no narrow window moves the camera through a wall
+    assert view.inside
 
 
 def test_a_long_room_is_looked_at_along_its_length() -> None:

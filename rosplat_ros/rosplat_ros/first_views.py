@@ -27,6 +27,7 @@ def first_view_message(view: View, frame_id: str, stamp: Time) -> FirstView:
         target=Point(**target),
         up=Vector3(**up),
         width=view.width,
+        inside=view.inside,
     )
 
 
@@ -41,4 +42,4 @@ def read_first_view(message: FirstView) -> View:
     known = np.isfinite([*eye, *target, *up, message.width]).all()
     if not known or not up.any() or (eye == target).all():
         raise ValueError("first_view: not finite, no vertical, or the eye is the target")
-    return View(eye, target, up / np.linalg.norm(up), max(0.0, message.width))
+    return View(eye, target, up / np.linalg.norm(up), max(0.0, message.width), message.inside)

@@ -307,6 +307,23 @@ def test_the_map_follows_the_mouse(up: tuple[float, float, float]) -> None:
     )
 
 
+def test_inside_a_map_a_drag_turns_on_the_spot_and_the_wheel_walks() -> None:
+    from rosplat_core.first_look import FirstView
+    from rviz_gaussian_plugin.viewer.orbit import OrbitCamera
+
+    eye, target, up = np.array([1.0, -2, 1.5]), np.array([4.0, 2, 1.5]), np.array([0, 0, 1.0])
+    orbit = OrbitCamera.of(FirstView(eye, target, up, inside=True), 320, 240)
+    orbit.turn(0.3, 0.1)
+    camera = orbit.camera(320, 240)
+    np.testing.assert_allclose(camera.position, eye, atol=1e-9)
+    assert project(camera, target)[0] < 150
+    orbit.turn(-0.3, -0.1)
+    orbit.zoom(0.9)
+    np.testing.assert_allclose(
+        orbit.camera(320, 240).position, eye + 0.1 * (target - eye), atol=1e-9
+    )
+
+
 @pytest.mark.parametrize("wide", [0.0, 1e-300, 1e12, 1e15, 1e30, 3e38])
 @pytest.mark.parametrize("far", [0.0, 1e17, 1e300])
 def test_every_map_is_framed_by_a_camera_that_can_be_drawn_from(wide: float, far: float) -> None:

@@ -44,13 +44,17 @@ def _axes(up: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
 
 @dataclass
 class OrbitCamera:
-    """A camera that looks at a point from somewhere on a sphere around it."""
+    """A camera that looks at a point from somewhere on a sphere around it.
+
+    inside: the map surrounds it, so it turns on the spot, and its zoom moves it and the point.
+    """
 
     target: NDArray[np.float64]
     distance: float
     up: NDArray[np.float64]
     yaw: float = 0.6
     pitch: float = 0.35
+    inside: bool = False
 
     def __post_init__(self) -> None:
         """Clamps the camera to where it can be drawn from; all that moves it does so, too."""
@@ -67,6 +71,7 @@ class OrbitCamera:
             target=view.target, distance=distance, up=view.up,
             yaw=math.atan2(away @ side, away @ ahead),
             pitch=math.asin(float(np.clip(away @ up / max(distance, NEAREST), -1, 1))),
+            inside=view.inside,
         )  # fmt: skip
 
     @classmethod
@@ -80,11 +85,9 @@ class OrbitCamera:
 
     def camera(self, width: int, height: int) -> Camera:
         """The camera for a picture of width x height [px], with a view 45 degrees high."""
-        ahead, side, up = _axes(self.up)
-        around = math.cos(self.yaw) * ahead + math.sin(self.yaw) * side
-        outward = math.cos(self.pitch) * around + math.sin(self.pitch) * up
+        outward = self._outward()
         # From the direction alone: far from 0, eye and target may round to the same point.
-        transform = look_at(outward, np.zeros(3), up)
+        transform = look_at(outward, np.zeros(3), self.up)
         transform[:3, 3] = -transform[:3, :3] @ (self.target + self.distance * outward)
         focal = 0.5 * height / math.tan(math.radians(22.5))
         return Camera(
@@ -94,14 +97,27 @@ class OrbitCamera:
         )  # fmt: skip
 
     def turn(self, right: float, down: float) -> None:
-        """Turns around the target by angles [rad]."""
+        """Turns around the target, or on the spot, by angles [rad]."""
+        eye = self.target + self.distance * self._outward()
         self.yaw -= right
         self.pitch = float(np.clip(self.pitch + down, -1.55, 1.55))
+        if self.inside:
+            self.target = eye - self.distance * self._outward()
+            self.__post_init__()
 
     def zoom(self, factor: float) -> None:
-        """Multiplies the distance to the target."""
-        self.distance *= factor
+        """Multiplies the distance to the target, or moves ahead by as much."""
+        if self.inside:
+            self.target = self.target + (factor - 1) * self.distance * self._outward()
+        else:
+            self.distance *= factor
         self.__post_init__()
+
+    def _outward(self) -> NDArray[np.float64]:
+        """The direction from the target to the camera, (3,)."""
+        ahead, side, up = _axes(self.up)
+        around = math.cos(self.yaw) * ahead + math.sin(self.yaw) * side
+        return math.cos(self.pitch) * around + math.sin(self.pitch) * up
 
     def pan(self, right: float, down: float) -> None:
         """Shifts the target by parts of the picture's height."""

@@ -79,8 +79,8 @@ GaussianDisplay::GaussianDisplay() {
   fit_view_ = new rviz_common::properties::BoolProperty(
       "Fit View", false,
       "Check to have an Orbit view show the map: from where its publisher tells at "
-      "<topic>/first_view (rosplat_msgs/FirstView), or else from outside. Unchecks itself once the "
-      "view is fitted.",
+      "<topic>/first_view (rosplat_msgs/FirstView), or else from outside. From inside a room, the "
+      "Fly view does. Unchecks itself once the view is fitted.",
       this);
   publish_pose_ = new rviz_common::properties::BoolProperty(
       "Publish Camera", false,
@@ -315,7 +315,7 @@ void GaussianDisplay::fitView() {
   const auto view = view_fit_->find(client_->frameId(), cloud_->scene().samplePositions(),
                                     *context_->getFrameManager(), aspect);
   if (!view) return;
-  moveTo(*view, *context_->getViewManager()->getCurrent());
+  moveTo(*view, *context_->getViewManager());
   fit_view_->setBool(false);
 }
 

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <rviz_common/properties/property.hpp>
 #include <rviz_common/view_controller.hpp>
+#include <rviz_common/view_manager.hpp>
 #include <utility>
 
 #include "frames.hpp"
@@ -17,6 +18,7 @@ namespace {
 constexpr double kTurn = 2 * 3.14159265358979323846;
 constexpr double kFieldOfView = kTurn / 8;    // rviz's, from top to bottom [rad]
 constexpr std::chrono::seconds kPatience{2};  // for an offer, once there is a map
+constexpr double kSecondsAcross = 4;          // in which the Fly view gets to the target
 
 std::array<double, 3> numbers(const geometry_msgs::msg::Point& p) { return {p.x, p.y, p.z}; }
 
@@ -81,7 +83,9 @@ std::optional<OrbitView> ViewFit::find(const std::string& frame,
     if (eye && target &&
         std::isfinite((*eye)[0] + (*eye)[1] + (*eye)[2] + (*target)[0] + (*target)[1] +
                       (*target)[2] + offered_->width)) {
-      return orbitOf(*eye, *target, offered_->width, aspect);
+      OrbitView view = orbitOf(*eye, *target, offered_->width, aspect);
+      view.inside = offered_->inside;
+      return view;
     }
   }
   if (now - *since_ < kPatience) return std::nullopt;
@@ -95,22 +99,36 @@ std::optional<OrbitView> ViewFit::find(const std::string& frame,
   return orbitAround(std::move(placed), aspect);
 }
 
-void moveTo(const OrbitView& view, rviz_common::ViewController& controller) {
+void moveTo(const OrbitView& view, rviz_common::ViewManager& views) {
+  const auto set = [](rviz_common::properties::Property* vector, const Ogre::Vector3& point) {
+    vector->subProp("X")->setValue(point.x);
+    vector->subProp("Y")->setValue(point.y);
+    vector->subProp("Z")->setValue(point.z);
+  };
   const auto [x, y, z] = view.target;
   const Ogre::Vector3 target(static_cast<float>(x), static_cast<float>(y), static_cast<float>(z));
+  if (view.inside) {
+    views.setCurrentViewControllerType("rviz_gaussian_plugin/Fly");
+    rviz_common::ViewController& fly = *views.getCurrent();
+    const double flat = std::cos(view.pitch) * view.distance;
+    const Ogre::Vector3 away(static_cast<float>(flat * std::cos(view.yaw)),
+                             static_cast<float>(flat * std::sin(view.yaw)),
+                             static_cast<float>(view.distance * std::sin(view.pitch)));
+    set(fly.subProp("Position"), target + away);
+    fly.subProp("Speed")->setValue(view.distance / kSecondsAcross);
+    fly.lookAt(target);
+    return;
+  }
+  rviz_common::ViewController& controller = *views.getCurrent();
   auto* const distance = controller.subProp("Distance");
-  auto* const yaw = controller.subProp("Yaw");
-  auto* const pitch = controller.subProp("Pitch");
   auto* const focus = controller.subProp("Focal Point");
   controller.lookAt(target);
   // subProp() gives a property without a name where there is none.
   if (distance->getName() != "Distance" || focus->getName() != "Focal Point") return;
-  focus->subProp("X")->setValue(x);
-  focus->subProp("Y")->setValue(y);
-  focus->subProp("Z")->setValue(z);
+  set(focus, target);
   distance->setValue(view.distance);
-  yaw->setValue(view.yaw);
-  pitch->setValue(view.pitch);
+  controller.subProp("Yaw")->setValue(view.yaw);
+  controller.subProp("Pitch")->setValue(view.pitch);
 }
 
 }  // namespace rosplat

@@ -11,7 +11,7 @@
 
 namespace rviz_common {
 class FrameManagerIface;
-class ViewController;
+class ViewManager;
 }  // namespace rviz_common
 
 namespace rosplat {
@@ -20,6 +20,7 @@ namespace rosplat {
 struct OrbitView {
   std::array<double, 3> target{};
   double distance = 1, yaw = 0, pitch = 0;
+  bool inside = false;  // the map surrounds the camera
 };
 
 // The orbit of a camera at `eye`, farther away for a picture narrower than `width`: both that and
@@ -50,7 +51,8 @@ class ViewFit {
   std::optional<std::chrono::steady_clock::time_point> since_;  // there has been a map
 };
 
-// Moves a view controller that has an Orbit's properties, or turns another one to the target.
-void moveTo(const OrbitView& view, rviz_common::ViewController& controller);
+// Moves rviz's Orbit view, or turns another one to the target. From inside a map, the Fly view
+// takes its place: an Orbit would carry the camera through the walls.
+void moveTo(const OrbitView& view, rviz_common::ViewManager& views);
 
 }  // namespace rosplat
