@@ -149,9 +149,10 @@ class Rooms:
         normals, tangents = faces.normals[face], unit(faces.first[face])
         materials = [box.material for box in self._boxes]
         albedo, gloss = np.empty_like(points), np.empty(len(points))
-        for index in np.unique(faces.box[face]):
-            chosen = faces.box[face] == index
-            material = materials[index]
+        box = faces.box[face]
+        by_box = np.argsort(box, kind="stable")
+        for chosen in np.split(by_box, np.flatnonzero(np.diff(box[by_box])) + 1):
+            material = materials[box[chosen[0]]]
             shade = material.pattern(points[chosen], self._noise)
             albedo[chosen] = material.color * (1 + shade[:, None])
             gloss[chosen] = material.gloss
@@ -246,11 +247,14 @@ def _room(points: Array) -> NDArray[np.intp]:
 def _hidden(points: Array, away: Array, boxes: Array) -> NDArray[np.bool_]:
     """(n,) whether one of boxes (k, 2, 3) stands between points (n, 3) and points + away."""
     hidden = np.zeros(len(points), bool)
-    inverse = 1 / np.where(away == 0, 1e-12, away)
-    for low, high in boxes:
+    # NumPy takes a hundred times as long for extremes of rows of three.
+    points, inverse = (
+        np.ascontiguousarray(each.T) for each in (points, 1 / np.where(away == 0, 1e-12, away))
+    )
+    for low, high in boxes[..., None]:
         to_low, to_high = (low - points) * inverse, (high - points) * inverse
-        enter = np.minimum(to_low, to_high).max(axis=1)
-        leave = np.maximum(to_low, to_high).min(axis=1)
+        enter = np.minimum(to_low, to_high).max(axis=0)
+        leave = np.maximum(to_low, to_high).min(axis=0)
         hidden |= (enter < leave) & (leave > 0) & (enter < 1)
     return hidden
 
