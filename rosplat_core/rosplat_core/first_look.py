@@ -32,7 +32,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from rosplat_core import harmonics
 from rosplat_core.cameras import Camera, load_cameras, look_at
@@ -276,6 +275,8 @@ class _Stage:
     """A scene upright, its middle at 0, its radius 1; and what stands for it in pictures."""
 
     def __init__(self, splats: Splats, up: NDArray[np.float64]) -> None:
+        from scipy.spatial import cKDTree  # takes its time
+
         random = np.random.default_rng(0)
         self._origin = splats.origin
         self._up = up / np.linalg.norm(up)

@@ -22,7 +22,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from rosplat_core.cameras import Camera
 from rosplat_core.quaternions import to_matrices
@@ -178,6 +177,8 @@ def _thinnest(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArr
 
 def _stands(points: NDArray[np.float64], up: NDArray[np.float64]) -> float:
     """FALLING to 1: how far the points' middle is within the outline of the lowest ones."""
+    from scipy.spatial import ConvexHull, QhullError  # takes its time
+
     heights = points @ up
     low, high = np.quantile(heights, [0.005, 0.98])
     aside = np.cross(up, np.eye(3)[np.abs(up).argmin()])

@@ -74,6 +74,11 @@ def rooms() -> Splats:
     return generate(60_000, scene="rooms")
 
 
+@pytest.fixture(scope="module")
+def dense_rooms() -> Splats:
+    return generate(300_000, scene="rooms")
+
+
 def test_an_object_is_shown_whole_from_above_its_ground(garden: Splats) -> None:
     view = first_view(garden, Z)
     picture = alpha(garden, view)
@@ -118,8 +123,8 @@ def test_a_long_room_is_looked_at_along_its_length() -> None:
 
 
 @pytest.mark.parametrize("column", [0, 1, 2])
-def test_a_room_is_looked_at_where_it_is_furnished(column: int) -> None:
-    flat = generate(300_000, scene="rooms")
+def test_a_room_is_looked_at_where_it_is_furnished(dense_rooms: Splats, column: int) -> None:
+    flat = dense_rooms
     low, high = np.array([4 * column - 6.1, -6.1, -1]), np.array([4 * column - 1.9, -1.9, 9])
     room = flat[((flat.positions > low) & (flat.positions < high)).all(axis=1)]
     view = first_view(room, Z)
