@@ -34,8 +34,8 @@ class Renderers {
 // Where a rasterizer draws. Auto: on the processor if no card can draw. Render thread only.
 DrawnBy drawnBy(Rasterizer rasterizer);
 
-// Whether the processor would run a rasterizer's shaders, unless the user has told Mesa to emulate a
-// card. Render thread only.
+// Whether the processor would run a rasterizer's shaders, unless the user has told Mesa to emulate
+// a card. Render thread only.
 bool isEmulated(Rasterizer rasterizer);
 
 }  // namespace rosplat
