@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -39,13 +40,19 @@ def renderer(request: pytest.FixtureRequest) -> CpuRenderer:
     return renderer
 
 
+@cache
+def twin(view: str, model: Model, walled: bool = False) -> reference.Picture:
+    """The cloud's picture, the same for all instructions; walled: behind wall()."""
+    camera = CAMERAS[view]
+    return reference.render(cloud(model), camera, scene_depth=wall(camera) if walled else None)
+
+
 @pytest.mark.parametrize("model", Model, ids=str)
 @pytest.mark.parametrize("view", CAMERAS)
 def test_matches_the_float64_twin(renderer: CpuRenderer, view: str, model: Model) -> None:
-    splats = cloud(model)
-    insert_all(renderer, splats)
+    insert_all(renderer, cloud(model))
     drawn = draw(renderer, CAMERAS[view], mean_depth=True)
-    expected = reference.render(splats, CAMERAS[view])
+    expected = twin(view, model)
     # Beside a camera inside a disc, packed rotations move its plane.
     assert decibels(drawn["colour"], expected.rgba) >= (75 if model is Model.DISC else 80)
     alpha = expected.rgba[..., 3]
@@ -104,9 +111,17 @@ def test_maps_beside_each_other_match_the_twin_of_their_union(
     for number, each in enumerate([renderer, *others]):
         insert_all(each, splats[robot == number])
     drawn = draw(renderer, CAMERAS[view], beside=others)
-    assert decibels(drawn["colour"], reference.render(splats, CAMERAS[view]).rgba) >= 80
+    assert decibels(drawn["colour"], twin(view, Model.EWA).rgba) >= 80
     with pytest.raises(ValueError, match="an order is of one map alone"):
         draw(renderer, CAMERAS[view], beside=others, order=np.zeros(1, np.uint32))
+
+
+def wall(camera: Camera) -> np.ndarray:
+    """Depths of one that leans through the cloud, with a hole."""
+    row, column = np.mgrid[: camera.height, : camera.width]
+    depth = (0.1 + 3 * column / camera.width).astype(np.float32)
+    depth[np.hypot(row - 60, column - 90) < 25] = np.inf
+    return depth
 
 
 @pytest.mark.parametrize("model", Model, ids=str)
@@ -114,16 +129,12 @@ def test_maps_beside_each_other_match_the_twin_of_their_union(
 def test_opaque_objects_hide_what_is_behind_them(
     renderer: CpuRenderer, view: str, model: Model
 ) -> None:
-    camera, splats = CAMERAS[view], cloud(model)
-    insert_all(renderer, splats)
-    # A wall that leans through the cloud, with a hole.
-    row, column = np.mgrid[: camera.height, : camera.width]
-    depth = (0.1 + 3 * column / camera.width).astype(np.float32)
-    depth[np.hypot(row - 60, column - 90) < 25] = np.inf
-    picture = renderer.render(camera, scene_depth=depth)
-    expected = reference.render(splats, camera, scene_depth=depth).rgba
+    camera = CAMERAS[view]
+    insert_all(renderer, cloud(model))
+    picture = renderer.render(camera, scene_depth=wall(camera))
+    expected = twin(view, model, walled=True).rgba
     assert decibels(picture, expected) >= 75
-    hidden = reference.render(splats, camera).rgba - expected
+    hidden = twin(view, model).rgba - expected
     assert np.abs(hidden).max() > 0.02  # there was something to hide
 
 
@@ -182,14 +193,18 @@ def test_trained_scenes_match_gsplat(
         assert decibels(ours, theirs / 65535) >= 77
 
 
+@cache
+def twin_contributions(view: str) -> tuple[np.ndarray, ...]:
+    return reference.contributions(cloud()[:60], CAMERAS[view])
+
+
 @pytest.mark.parametrize("view", CAMERAS)
 def test_contributions_are_those_of_the_twin(renderer: CpuRenderer, view: str) -> None:
-    splats = cloud()[:60]
-    insert_all(renderer, splats)
+    insert_all(renderer, cloud()[:60])
     found = rendering.Contributions()
     for _ in range(2):
         renderer.contribute(posed(CAMERAS[view]), found)
-    weights, energies, errors = reference.contributions(splats, CAMERAS[view])
+    weights, energies, errors = twin_contributions(view)
     assert errors.max() > 1  # there was something to see
     np.testing.assert_allclose(found.weight / 2, weights, rtol=2e-3, atol=0.02)
     np.testing.assert_allclose(found.energy / 2, energies, rtol=4e-3, atol=1e-3)
