@@ -11,7 +11,9 @@ import pytest
 from rosplat_core import formats
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
+from rosplat_ros.program.parameter_help import declared_by
 from rosplat_testing.messages import as_held
+from rosplat_tools.emulation import slam_emulator
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -86,3 +88,8 @@ def test_it_sends_payloads_if_it_is_to(start: Start, listener: Any) -> None:
     listener.wait_for(1000)
     assert {batch.format for batch in listener.batches if batch.count} <= {"quantised", ""}
     assert any(batch.format for batch in listener.batches)
+
+
+def test_help_loads_no_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(slam_emulator, "load_scene", lambda *_: pytest.fail("loaded"))
+    assert "compression" in declared_by(slam_emulator.SlamEmulator)

@@ -32,7 +32,7 @@ class _Stop(BaseException):
 
 
 def stop_if_asked() -> None:
-    """Ends a node that only --help made. Called when it is complete."""
+    """Ends a node that only --help made. Called when it has declared its parameters."""
     if asked:
         raise _Stop
 

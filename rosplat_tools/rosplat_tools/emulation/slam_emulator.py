@@ -14,6 +14,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.scenes import NAMES, PROCEDURAL, load_scene
 from rosplat_core.splats import InputError
 from rosplat_ros.map_publisher import MapPublisher
+from rosplat_ros.program.parameter_help import stop_if_asked
 from rosplat_ros.program.parameters import declare, declare_compression, declare_path
 from rosplat_ros.program.running import run_node
 from rosplat_tools.emulation.mapping import Move, around, edits, with_keyframes
@@ -50,17 +51,15 @@ class SlamEmulator(Node):
             ),
             "seed": 0,
         }
+        compression = declare_compression(self)
+        stop_if_asked()  # the scene takes its time
         try:
             scene = around(load_scene(path, lambda _: None, self.get_logger().warning))
             self._scene = with_keyframes(scene, self._plan["batch_size"])
             self._edits = edits(self._scene, **self._plan)
         except ValueError as error:
             raise InputError(str(error)) from error
-        self._map = MapPublisher(
-            self,
-            frame_id=frame_id,
-            compression=declare_compression(self),
-        )
+        self._map = MapPublisher(self, frame_id=frame_id, compression=compression)
         self.get_logger().info(f"mapping {shown(path)}: {len(self._scene):,} splats")
         self._bar = tqdm(
             total=len(self._scene), desc="mapping", unit="splats", unit_scale=True, disable=None
