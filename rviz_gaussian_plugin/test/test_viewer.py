@@ -307,6 +307,27 @@ def test_the_map_follows_the_mouse(up: tuple[float, float, float]) -> None:
     )
 
 
+def test_pictures_wait_for_a_first_view_that_comes_after_the_map() -> None:
+    from rviz_gaussian_plugin.viewer import command
+
+    view = object()
+    asked: list[str] = []
+
+    def count_publishers(topic: str) -> int:
+        asked.append(topic)
+        if len(asked) == 3:
+            viewer.first_view = view
+        return 1
+
+    viewer = SimpleNamespace(
+        first_view=None, complete=lambda: True, count_publishers=count_publishers,
+        resolve_topic_name=lambda name: f"/{name}",
+    )  # fmt: skip
+    command._wait_for_map(viewer)
+    assert viewer.first_view is view
+    assert set(asked) == {"/gaussians/first_view"}
+
+
 def test_inside_a_map_a_drag_turns_on_the_spot_and_the_wheel_walks() -> None:
     from rosplat_core.first_look import FirstView
     from rviz_gaussian_plugin.viewer.orbit import OrbitCamera

@@ -31,14 +31,20 @@ ORDER_TIMEOUT = 2.0  # how long a still waits for a sorter's order [s]
 
 
 def _wait_for_map(viewer: Viewer) -> None:
+    topic = viewer.resolve_topic_name("gaussians")
     discovered = time.monotonic() + QUIET
     while not viewer.complete():
         if not viewer.context.ok():
             raise ExternalShutdownException
-        topic = viewer.resolve_topic_name("gaussians")
         if time.monotonic() > discovered and not viewer.count_publishers(topic):
             viewer.get_logger().info(f"waiting for a map on {topic}", once=True)
         viewer.renderer.upload()
+        time.sleep(0.05)
+    # The first view is offered before the map, but may be received after it.
+    received = time.monotonic() + QUIET
+    while viewer.first_view is None and time.monotonic() < received:
+        if not viewer.count_publishers(f"{topic}/first_view"):
+            break
         time.sleep(0.05)
 
 
