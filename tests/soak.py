@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from line import Line, NoLine
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
@@ -37,7 +38,6 @@ from rosplat_core.generated import generate
 from rosplat_core.program.output import say
 from rosplat_core.rendering import CpuRenderer, SplatCamera
 from rosplat_lab.bench import scenes
-from rosplat_lab.bench.line import Line, NoLine
 from rosplat_lab.machine import machine
 from rosplat_msgs.srv import RenderView
 from rosplat_ros.program.processes import Processes, interrupt_by_signals, node_command

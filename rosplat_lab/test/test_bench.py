@@ -11,19 +11,15 @@ import numpy as np
 import pytest
 
 from rosplat_core.cameras import save_cameras
-from rosplat_core.depth import order
 from rosplat_core.formats import save as save_scene
 from rosplat_core.generated import generate
-from rosplat_core.ordering import view_of
 from rosplat_core.splats import InputError
-from rosplat_lab.bench import baselines, bound, rviz, scenes, simplify, sort, streaming
+from rosplat_lab.bench import bound, rviz, scenes, simplify, streaming
 from rosplat_lab.bench.command import main
 from rosplat_lab.bench.isolation import isolated
-from rosplat_lab.bench.line import Line, NoLine
 from rosplat_lab.bench.records import Record, load
 from rosplat_lab.bench.renderers import RENDERERS
 from rosplat_testing import PATIENCE
-from rviz_gaussian_plugin.offscreen import ensure_display
 
 
 def bench(out: Path, *arguments: str) -> list[Record]:
@@ -44,7 +40,6 @@ def test_sorting_is_measured_for_every_backend_that_is_here(tmp_path: Path) -> N
     assert {record.scene for record in records} == {"procedural:2000", "procedural:3000"}
     methods = {str(record.parameters["method"]) for record in records}
     assert any(method.startswith("native") for method in methods)
-    assert "shadygm/ROSplat, np.argsort" in methods
     every = [record for record in records if record.parameters["view"] == "all"]
     assert all(record.parameters["visible"] == record.splats for record in every)
     some = [record for record in records if record.parameters["view"] == "inside"]
@@ -59,17 +54,6 @@ def test_a_wrong_order_is_not_timed(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     arguments = ["sort", "--sizes", "1k", "--backends", "numpy", "--out", str(tmp_path)]
     assert main(arguments) == 1
     assert not (tmp_path / "sort.json").exists()
-
-
-def test_a_baseline_sorts_as_we_do_where_all_is_visible() -> None:
-    splats = generate(2000)
-    (camera,) = scenes.all_of_it(splats, 640, 480, 1)
-    view = view_of(camera, splats)
-    sorted_map = sort.map_of(splats)
-    exact = order(view, sorted_map.positions, sorted_map.extents)
-    theirs = baselines.argsort(splats.positions)(view).ravel()
-    depths = splats.positions.astype(np.float64) @ view.rotations[0, 2].astype(np.float64)
-    np.testing.assert_allclose(depths[theirs], depths[exact], atol=1e-5)
 
 
 def test_cameras_of_a_view_turn_by_a_degree() -> None:
@@ -137,12 +121,6 @@ def test_a_streamed_scene_comes_as_the_camera_goes(tmp_path: Path) -> None:
     assert {r.parameters["process"] for r in records if r.name == "RAM"} == {"viewer", "publisher"}
 
 
-def test_a_loop_closure_is_measured_until_its_picture(tmp_path: Path) -> None:
-    records = {r.name: r for r in bench(tmp_path, "closure", "--sizes", "2000")}
-    assert {"to take it", "to the picture", "a frame after a turn"} <= records.keys()
-    assert records["to the picture"].p50 > records["to take it"].p50
-
-
 def test_a_picture_is_whole_when_nothing_is_added_and_its_order_knows_all() -> None:
     frames = [
         streaming.Frame(ended=when, took=0.1, drawn=drawn, fresh=fresh)
@@ -181,44 +159,12 @@ def test_the_chain_is_measured_from_pose_to_picture(tmp_path: Path) -> None:
     assert 20 < idle.value < programs["sorter"]
 
 
-def test_messages_are_measured_in_every_form(tmp_path: Path) -> None:
+def test_orders_are_measured_in_every_form(tmp_path: Path) -> None:
     records = bench(tmp_path, "transport", "--sizes", "2000")
     orders = [record for record in records if record.name == "order"]
     ways = {record.parameters["way"] for record in orders if record.splats == 2000}
     assert ways == {"inline", "packed", "shared memory"}
-    batches = {str(r.parameters["way"]).split(":")[0]: r for r in records if r.name == "batch"}
-    assert {"GaussianArray", "PoseArray"} <= batches.keys()
     assert any(record.name == "publish to visible" for record in records)
-
-
-def test_a_display_is_out_of_reach_of_another_machine() -> None:
-    """An Xvfb there would take its number, and its socket."""
-    look = ["sh", "-c", "ls /tmp/.X11-unix; echo display $DISPLAY"]
-    with ensure_display():
-        try:
-            with Line("1gbit") as line:
-                there = subprocess.run(line.at("there", look), capture_output=True, check=True)
-        except NoLine as error:
-            pytest.skip(str(error))
-    assert there.stdout.split() == [b"display"]
-
-
-def test_orders_reach_a_viewer_on_another_machine(tmp_path: Path) -> None:
-    """By DDS alone: the two share neither memory nor anything but a line."""
-    try:
-        with Line("1gbit"):
-            pass
-    except NoLine as error:
-        pytest.skip(str(error))
-    records = bench(tmp_path, "network", "--sizes", "2000")
-    assert {record.parameters["orders"] for record in records} == {"packed"}
-    by_name = {record.name: record for record in records}
-    assert by_name["orders"].splats == 2000
-    assert by_name["bytes of an order"].value * 1e6 == 2000 * 11 / 8
-    # All of it came over the line that was made, and more than that: headers, cameras, DDS's own.
-    seconds = by_name["pose to order"].n / by_name["orders"].value
-    carried = by_name["on the line"].value * 1e6 / 8 * seconds
-    assert carried > by_name["pose to order"].n * 2000 * 11 / 8
 
 
 @pytest.mark.parametrize(

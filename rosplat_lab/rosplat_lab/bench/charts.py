@@ -27,8 +27,8 @@ def parameter(*names: str) -> Key:
 
 
 def at_rate(record: Record) -> str:
-    """How often the camera moves, the backend and, across a line, the transport."""
-    return f"{record.parameters['rate']:g} Hz, {parameter('backend', 'transport')(record)}"
+    """How often the camera moves, and the backend."""
+    return f"{record.parameters['rate']:g} Hz, {parameter('backend')(record)}"
 
 
 def off(record: Record) -> float:
@@ -109,16 +109,8 @@ CHARTS = (
         parameter("way"), x="slots",
     ),
     Chart(
-        "transport-batches", "transport", "batch", "A batch between two processes",
-        "time [ms]", parameter("way"), x="splats in a message",
-    ),
-    Chart(
         "transport-map", "transport", "publish to visible", "A map, published to visible",
         "time [ms]", parameter("backend"),
-    ),
-    Chart(
-        "network-orders", "network", "orders", "Orders over a line between two machines",
-        "orders a second", at_rate, log=False, band=False,
     ),
     Chart(
         "chain-latency", "chain", "pose to picture", "From pose to picture", "time [ms]",

@@ -57,7 +57,6 @@ SUBJECTS = {
         "frames, their error and stages, beside other renderers; a map that streams in; memory"
     ),
     "levels": Subject("time, memory and popping of levels of detail"),
-    "closure": Subject("a loop closure of 50 submaps, from the message to the picture"),
     "simplify": Subject("error of simplified maps, and the processor time of making them"),
     "bound": Subject("what simplify promises, and what views have that it never saw"),
     "occupancy": Subject("precision, recall and time of obstacles in a map"),
@@ -82,7 +81,6 @@ SUBJECTS = {
         "orders and batches between two processes; a map from publishing to the picture",
         needs_ros=True,
     ),
-    "network": Subject("orders over a line of 1 Gbit/s; needs root and iproute2", needs_ros=True),
     "chain": Subject("from pose to picture through publisher, sorter and viewer", needs_ros=True),
 }
 

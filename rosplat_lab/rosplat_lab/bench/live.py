@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import importlib
 import json
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ from typing import Any
 from rosplat_core.splats import InputError
 from rosplat_lab import machine
 from rosplat_lab.bench import records
-from rosplat_lab.bench.line import Line
 from rosplat_lab.programs import Programs
 from rosplat_ros.program.processes import node_command, quoted
 from rosplat_sorter.backends import BACKENDS, Unavailable, open_backend
@@ -53,37 +51,29 @@ def watch(
     picture: tuple[int, int],
     until: Callable[[Watched], bool],
     begin: Callable[[Programs], None] | None = None,
-    line: Line | None = None,
-    environment: Mapping[str, str] | None = None,
 ) -> Watched:
     """Runs the three until `until`, called now and then, returns that it has seen enough.
 
     publisher: an executable of rosplat_tools and its arguments. backend: of the sorter, or
     GPU or PROCESSOR. rate: at which the camera turns [Hz]. begin: called when all three
-    run. line: the viewer runs at its far end, the others at the near one. Raises ProcessError if
-    one of them ends by itself.
+    run. Raises ProcessError if one of them ends by itself.
     """
     log = out / "log"
     trace = log / "trace.json"
     seen = Watched()
     with Programs(log) as processes:
-
-        def start(name: str, command: list[str], end: str = "here") -> subprocess.Popen[bytes]:
-            there = line.at(end, command) if line else command
-            return processes.start(name, there, **(environment or {}))
-
         trace.unlink(missing_ok=True)
         programs = {}
         if backend in BACKENDS:
             sorter = node_command(
                 "rosplat_sorter", "sorter", *processes.remap, "-p", f"backend:={backend}"
             )
-            programs["sorter"] = start("sorter", sorter)
+            programs["sorter"] = processes.start("sorter", sorter)
             while "waits for a view" not in processes.said("sorter"):
                 processes.check()
                 time.sleep(0.05)
             seen.idle_ram = machine.resident_bytes(programs["sorter"].pid)
-        programs["viewer"] = start(
+        programs["viewer"] = processes.start(
             "viewer",
             [
                 sys.executable, "-m", "rosplat_lab.bench.moving_viewer", *processes.remap,
@@ -91,13 +81,12 @@ def watch(
                 "-p", f"width:={picture[0]}", "-p", f"height:={picture[1]}",
                 "-p", f"order_source:={order_source(backend).lower()}",
             ],
-            end="there",
         )  # fmt: skip
         while not trace.exists():  # the viewer is ready, and misses nothing
             processes.check()
             time.sleep(0.05)
         command = node_command("rosplat_tools", publisher[0], *processes.remap, *publisher[1:])
-        programs["publisher"] = start("publisher", command)
+        programs["publisher"] = processes.start("publisher", command)
         if begin:
             begin(processes)
         with trace.open(encoding="utf-8") as lines:
@@ -141,14 +130,6 @@ def is_answered(frame: Frame) -> bool:
 def for_seconds(seconds: float) -> Callable[[Watched], bool]:
     """`until`: so long after a complete map's first order; raises TimeoutError without one."""
     return _after(is_answered, seconds)
-
-
-def until_ordered() -> Callable[[Watched], bool]:
-    """`until`: a sorter's order of a complete map has come; raises TimeoutError if none does.
-
-    Without a graphics card, a viewer has fresh orders of its own before it has found a sorter.
-    """
-    return _after(lambda frame: bool(frame["complete"] and frame["arrivals"]), 0.0)
 
 
 def is_settled(frame: Frame) -> bool:

@@ -1,4 +1,4 @@
-"""How long a depth order takes: every backend of the sorter, beside other ways to do it."""
+"""How long a depth order takes, by every backend of the sorter."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from rosplat_core import depth, rendering
 from rosplat_core.ordering import view_of
 from rosplat_core.splats import InputError, Splats
 from rosplat_core.view import SortView
-from rosplat_lab.bench import baselines, live, scenes
+from rosplat_lab.bench import live, scenes
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped, milliseconds
 from rosplat_sorter.backends import (
@@ -67,18 +66,17 @@ def measure(plan: Plan) -> Iterator[Event]:
 
 @dataclass(frozen=True)
 class Way:
-    """One way to sort. culls: whether it leaves out what a view doesn't see."""
+    """One way to sort."""
 
     quantity: str
     label: str
-    sort: Callable[[SortView], Any]
-    culls: bool = True
+    sort: Callable[[SortView], NDArray[np.uint32]]
 
 
 def methods(
     sorted_map: SplatMap, backends: tuple[str, ...]
 ) -> list[tuple[str, Callable[[], list[Way]]]]:
-    """By name, functions that make the ways. backends: of the sorter; empty: all, and others."""
+    """By name, functions that make the ways. backends: of the sorter; empty: all."""
     found: list[tuple[str, Callable[[], list[Way]]]] = []
     for name in backends or tuple(BACKENDS):
         if name in (live.GPU, live.PROCESSOR):
@@ -88,9 +86,6 @@ def methods(
         if name == "native" and len(os.sched_getaffinity(0)) > 1:
             found.append(("native, 1 thread", partial(_ours, sorted_map, name, 1)))
         found.append((name, partial(_ours, sorted_map, name, 0)))
-    if not backends:
-        for label, make in baselines.BASELINES.items():
-            found.append((label, partial(_others, sorted_map, label, make)))
     return found
 
 
@@ -137,15 +132,11 @@ def _pinned(name: str) -> Allocate:
     return make
 
 
-def _others(sorted_map: SplatMap, label: str, make: Callable[[Any], baselines.Sort]) -> list[Way]:
-    return [Way(HOST, label, make(sorted_map.positions[: sorted_map.splats]), culls=False)]
-
-
 def _timed(
     plan: Plan, scene: str, sorted_map: SplatMap, way: Way, kind: str, views: list[SortView]
 ) -> Measurement:
     """Raises AssertionError where a backend's order is not the reference's."""
-    if way.culls and way.quantity == HOST:
+    if way.quantity == HOST:
         expected = depth.order(views[0], sorted_map.positions, sorted_map.extents)
         if not np.array_equal(way.sort(views[0]), expected):
             raise AssertionError(f"{scene}: {way.label} is not the exact order")
@@ -155,7 +146,7 @@ def _timed(
     )
     return Measurement.of(
         way.quantity, "ms", times, scene, sorted_map.splats,
-        method=way.label, view=kind, visible=int(visible), culls=way.culls,
+        method=way.label, view=kind, visible=int(visible),
     )  # fmt: skip
 
 

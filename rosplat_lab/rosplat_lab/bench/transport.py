@@ -5,59 +5,39 @@ from __future__ import annotations
 import itertools
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
-
-from std_msgs.msg import Header
 
 from rosplat_lab.bench import live, scenes
-from rosplat_lab.bench.peer import KINDS, ORDERS, QUESTIONS, topic
+from rosplat_lab.bench.peer import ORDERS, QUESTIONS, Orders, topic
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped
 from rosplat_lab.programs import Programs
-from rosplat_msgs.msg import ViewCamera
+from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_msgs.srv import LoadScene
 from rosplat_ros.program.processes import ProcessError
 from rosplat_ros.qos import ORDER
 
 ORDER_SIZES = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
 QUICK_ORDER_SIZES = (100_000, 500_000)
-BATCHES, QUICK_BATCHES = (1_000, 10_000), (1_000,)
 MAPS, QUICK_MAPS = (100_000, 500_000, 1_000_000, 2_000_000), (100_000,)
 MAP_REPEATS, QUICK_MAP_REPEATS = 3, 1
 PICTURE = (320, 180)  # small: what counts is that the map is in it
 PATIENCE = 30.0  # with an answer [s]
 ACQUAINTANCE = 4.0  # until publisher, sorter and viewer know each other: DDS asks each 3 s [s]
 
-# Ways to send splats, in words.
-WAYS = {
-    "gaussians": "GaussianArray: packed rows of 59 numbers a splat",
-    "poses": "PoseArray: a message a splat, of 7 numbers",
-    "markers": "MarkerArray: a message a splat, of 14 numbers",
-}
-
 
 def measure(plan: Plan) -> Iterator[Event]:
-    """Orders in a message, batches of splats in several forms, and whole maps."""
+    """Orders in each form, and whole maps."""
     orders = plan.sizes or (QUICK_ORDER_SIZES if plan.quick else ORDER_SIZES)
-    batches = QUICK_BATCHES if plan.quick else BATCHES
     with Programs(plan.out / "log") as programs:
         asker = Asker(programs)
         jobs = list(itertools.product(orders, ORDERS))
         for number, (count, way) in enumerate(jobs):
-            yield Doing(f"an order of {count:,} slots, {way}", 0.3 * number / len(jobs))
+            yield Doing(f"an order of {count:,} slots, {way}", 0.6 * number / len(jobs))
             times = asker.ask(way, count, plan.budget)
             yield Measurement.of("order", "ms", times, splats=count, way=way)
-        ways = [way for way in WAYS if way in KINDS]
-        if "markers" not in ways:
-            yield Skipped("MarkerArray: visualization_msgs is not here")
-        jobs = list(itertools.product(batches, ways))
-        for number, (count, way) in enumerate(jobs):
-            yield Doing(f"{count:,} splats as {way}", 0.3 + 0.3 * number / len(jobs))
-            times = asker.ask(way, count, plan.budget)
-            yield Measurement.of("batch", "ms", times, splats=count, way=WAYS[way])
     yield from _maps(plan)
 
 
@@ -74,7 +54,7 @@ def _maps(plan: Plan) -> Iterator[Event]:
 
 
 class Asker:
-    """Asks a peer in a process of its own for messages, and times them."""
+    """Asks a peer in a process of its own for orders, and times them."""
 
     def __init__(self, programs: Programs) -> None:
         self._programs = programs
@@ -83,13 +63,13 @@ class Asker:
         self._questions = programs.asker.create_publisher(ViewCamera, QUESTIONS, ORDER)
         self._sequence = 0
         self._times: dict[int, float] = {}
-        for kind, (message, _, read) in KINDS.items():
+        for kind, orders in ORDERS.items():
             programs.asker.create_subscription(
-                message, topic(kind), partial(self._receive, read), ORDER
+                SplatOrder, topic(kind), partial(self._receive, orders), ORDER
             )
 
     def ask(self, kind: str, count: int, budget: Budget) -> list[float]:
-        """Times from before a message is made until its numbers are at hand here. [ms]
+        """Times from before an order is made until its slots are at hand here. [ms]
 
         Raises ProcessError where the peer ends, TimeoutError where it doesn't answer.
         """
@@ -109,13 +89,11 @@ class Asker:
         )  # fmt: skip
         return self._times.pop(min(number for number in self._times if number >= first))
 
-    def _receive(self, read: Callable[[Any], object], answer: Any) -> None:
-        read(answer)
+    def _receive(self, orders: Orders, answer: SplatOrder) -> None:
+        orders.read(answer)
         now = time.time_ns()
-        markers = getattr(answer, "markers", None)
-        header: Header = (markers[0] if markers else answer).header
-        began = header.stamp.sec * 10**9 + header.stamp.nanosec
-        self._times[int(header.frame_id)] = (now - began) / 1e6
+        stamp = answer.header.stamp
+        self._times[int(answer.header.frame_id)] = (now - stamp.sec * 10**9 - stamp.nanosec) / 1e6
 
 
 def _visible(out: Path, name: str, repeats: int) -> Iterator[Measurement]:
