@@ -39,7 +39,8 @@ def test_bench_measures_in_processes_of_its_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "module", [f"{package}.{path.name}" for package, path in COMMANDS if package != "rosplat_tools"]
+    "module",
+    [f"{package}.{path.name}.__main__" for package, path in COMMANDS if package != "rosplat_tools"],
 )
 def test_what_takes_long_to_load_is_loaded_where_an_interrupt_is_quiet(module: str) -> None:
     """As run_module does it, which rosplat_tools.commands are made of."""

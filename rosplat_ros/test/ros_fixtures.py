@@ -45,9 +45,9 @@ def start(node: Node) -> Iterator[Callable[..., subprocess.Popen[str]]]:
             arguments += ["-r", f"{name}:={meant}"]
         for name, value in parameters.items():
             arguments += ["-p", f"{name}:={value}"]
-        module, main = (program, "main") if "." in program else ("rosplat_tools.commands", program)
+        tool = f"from rosplat_tools.commands import {program}; exit({program}())"
         process = subprocess.Popen(
-            [sys.executable, "-c", f"from {module} import {main}; exit({main}())", *arguments],
+            [sys.executable, *(("-m", program) if "." in program else ("-c", tool)), *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,

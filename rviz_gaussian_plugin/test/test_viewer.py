@@ -196,7 +196,7 @@ def test_what_can_t_be_drawn_is_answered_with_the_reason(
 
 WITHOUT_DRAWER = """
 from rosplat_core.rendering import Rasterizer
-from rviz_gaussian_plugin.viewer import main, node
+from rviz_gaussian_plugin.viewer import command, node
 
 class Renderer(node.Renderer):
     def __init__(self):
@@ -204,7 +204,7 @@ class Renderer(node.Renderer):
         self.settings.rasterizer = Rasterizer.TILES
 
 node.Renderer = Renderer
-exit(main())
+exit(command.main())
 """
 
 

@@ -2,7 +2,7 @@
 
 import sys
 
-from rviz_gaussian_plugin.graphics_report import main
+from rosplat_ros.program.processes import run_module
 
-if __name__ == "__main__":
-    sys.exit(main())
+if __name__ == "__main__":  # not in the processes that it starts
+    sys.exit(run_module("graphics_report", "rviz_gaussian_plugin.graphics_report.command"))
