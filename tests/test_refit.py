@@ -84,21 +84,15 @@ def camera(orthographic: bool) -> Camera:
     return Camera(0, 44, 36, focal, focal + 2, 21.0, 19.0, view, orthographic=orthographic)
 
 
+def rounded(splats: Exact) -> Splats:
+    return Splats(
+        splats.positions.astype(np.float32), splats.orientations, splats.scales, splats.opacities,
+        splats.sh, model=splats.model, origin=splats.origin,
+    )  # fmt: skip
+
+
 def refit_of(splats: Exact, instructions: Instructions = Instructions.BEST) -> Refit:
-    arrays = (splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh)
-    return Refit(
-        *(np.ascontiguousarray(array, np.float32) for array in arrays), tuple(splats.origin),
-        splats.model, instructions=instructions,
-    )  # fmt: skip
-
-
-def renderer_of(splats: Exact) -> CpuRenderer:
-    return CpuRenderer(
-        Splats(
-            splats.positions, splats.orientations, splats.scales, splats.opacities, splats.sh,
-            model=splats.model, origin=splats.origin,
-        )
-    )  # fmt: skip
+    return Refit(rounded(splats), instructions=instructions)
 
 
 # Each two of them together.
@@ -154,7 +148,7 @@ def test_vector_instructions_make_no_difference() -> None:
 
 def test_a_part_of_a_view_has_that_view_s_pixels() -> None:
     splats, seen = scene(1, Model.EWA), posed(camera(orthographic=False))
-    whole = picture(renderer_of(splats), seen)
+    whole = picture(CpuRenderer(rounded(splats)), seen)
     part = seen.crop(9, 5, 20, 16)
     error, _ = refit_of(splats).gradient_at(part, np.ascontiguousarray(whole[5:21, 9:29]))
     assert error < 1e-5
@@ -168,10 +162,7 @@ def test_steps_bring_back_what_was_changed() -> None:
     )
     cameras = [resized(seen, 160 * 90) for seen in Around(full).cameras(240, 3)]
     renderer = CpuRenderer(full)
-    fitting = Refit(
-        start.positions, start.orientations, start.scales, start.opacities, start.sh,
-        tuple(start.origin), start.model,
-    )  # fmt: skip
+    fitting = Refit(start)
     rates = RefitRates(**{name: 3 * rate for name, rate in RATES.items()})
     for seen in map(posed, cameras):
         fitting.step(seen, picture(renderer, seen), rates)
@@ -182,8 +173,10 @@ def test_steps_bring_back_what_was_changed() -> None:
 
 def test_arrays_of_different_lengths_are_refused() -> None:
     splats = scene(1, Model.EWA)
-    with pytest.raises(ValueError, match="not of the same splats"):
-        refit_of(replace(splats, logits=splats.logits[1:]))
+    torn = rounded(splats)
+    object.__setattr__(torn, "opacities", torn.opacities[1:])
+    with pytest.raises(ValueError, match="opacities: expected 1 values for each of 14 splats"):
+        Refit(torn)
     with pytest.raises(ValueError, match="splat 2 has values that draw nothing"):
         splats.positions[2, 1] = np.nan
         refit_of(splats)

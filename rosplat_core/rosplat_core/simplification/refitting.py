@@ -56,10 +56,7 @@ def refit(
     the last. progress: called with the share done, 0 to 1. Raises MemoryError where Adam's moments,
     two for each number of a splat, have no room.
     """
-    fitting = Refit(
-        start.positions, start.orientations, start.scales, start.opacities, start.sh,
-        tuple(start.origin.tolist()), start.model,
-    )  # fmt: skip
+    fitting = Refit(start)
     random = np.random.default_rng(seed)
     began, steps, error = time.monotonic(), most_steps, RATED**2
     cameras: list[Camera] = []

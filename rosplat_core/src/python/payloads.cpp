@@ -5,9 +5,8 @@
 #include <string>
 #include <vector>
 
+#include "python/held_splats.hpp"
 #include "python/module.hpp"
-#include "rosplat_core/python/bindings.hpp"
-#include "rosplat_core/slots/packed_slot.hpp"
 #include "rosplat_core/slots/payload_format.hpp"
 
 namespace rosplat::python {
@@ -16,48 +15,31 @@ namespace {
 
 using Floats = Array<float>;
 
-// Holds the arrays of a rosplat_core.payload.Arrays, and views them.
-struct HeldArrays {
-  std::vector<Floats> arrays;
-  SplatArrays<const float> splats;
+// The arrays of a rosplat_core.payload.Arrays, and which splats are usable.
+struct HeldPayload : HeldArrays {
   std::vector<bool> usable;
 
-  HeldArrays(const py::object& given, const Array<bool>& of)
-      : usable(of.data(), of.data() + of.size()) {
-    const std::size_t n = splats.count = usable.size();
-    const auto array = [&](const char* name, std::size_t each) {
-      arrays.push_back(given.attr(name).cast<Floats>());
-      if (static_cast<std::size_t>(arrays.back().size()) == each * n) return arrays.back().data();
-      throw std::invalid_argument(std::string(name) + ": not as long as usable asks for");
-    };
-    const auto coefficients = given.attr("sh").cast<Floats>();
-    while (splats.sh_degree < 3 && coefficients.ndim() == 3 &&
-           coefficients.shape(1) > (splats.sh_degree + 1) * (splats.sh_degree + 1)) {
-      ++splats.sh_degree;
-    }
-    splats.positions = array("positions", 3);
-    splats.orientations = array("orientations", 4);
-    splats.scales = array("scales", 3);
-    splats.opacities = array("opacities", 1);
-    splats.sh = array("sh", splats.shStride());
+  HeldPayload(const py::object& given, const Array<bool>& of)
+      : HeldArrays(static_cast<std::size_t>(of.size())), usable(of.data(), of.data() + of.size()) {
+    read(given);
   }
 };
 
 Array<std::uint8_t> encode(const py::object& arrays, const Array<bool>& usable) {
-  const HeldArrays held(arrays, usable);
-  std::vector<std::uint8_t> bytes(payload::size(held.splats.count, held.splats.sh_degree));
+  const HeldPayload held(arrays, usable);
+  std::vector<std::uint8_t> bytes(payload::size(held.arrays.count, held.arrays.sh_degree));
   {
     const py::gil_scoped_release free;
-    payload::encode(held.splats, held.usable, bytes.data());
+    payload::encode(held.arrays, held.usable, bytes.data());
   }
   const auto size = static_cast<py::ssize_t>(bytes.size());
   return toArray(std::move(bytes), {size});
 }
 
 bool suits(const py::object& arrays, const Array<bool>& usable) {
-  const HeldArrays held(arrays, usable);
+  const HeldPayload held(arrays, usable);
   const py::gil_scoped_release free;
-  return payload::suits(held.splats, held.usable);
+  return payload::suits(held.arrays, held.usable);
 }
 
 py::dict decode(const Array<std::uint8_t>& bytes, std::size_t count, int sh_degree,
@@ -89,8 +71,8 @@ py::dict decode(const Array<std::uint8_t>& bytes, std::size_t count, int sh_degr
 
 // Rows (n, 8 + (degree + 1)^2) as packed_slot.hpp has them; zero where a splat isn't usable.
 Array<std::uint32_t> pack(const py::object& arrays, const Array<bool>& usable) {
-  const HeldArrays held(arrays, usable);
-  const SplatArrays<const float>& from = held.splats;
+  const HeldPayload held(arrays, usable);
+  const SplatArrays<const float>& from = held.arrays;
   const int words = rowWords(from.sh_degree);
   Array<std::uint32_t> rows({static_cast<py::ssize_t>(from.count), py::ssize_t{words}});
   std::uint32_t* row = rows.mutable_data();

@@ -8,11 +8,9 @@
 #include <tuple>
 #include <variant>
 
+#include "python/held_splats.hpp"
 #include "python/module.hpp"
 #include "rosplat_core/map/published_map.hpp"
-#include "rosplat_core/python/bindings.hpp"
-#include "rosplat_core/slots/model.hpp"
-#include "rosplat_core/slots/packed_slot.hpp"
 
 namespace rosplat::python {
 
@@ -26,46 +24,6 @@ PublishedMap::When whenOf(const Time& time) {
   if (!time) return std::nullopt;
   return Stamp(time->first, time->second);
 }
-
-// Holds the arrays of Python's Splats or PackedSplats, and views them.
-struct HeldSplats {
-  std::vector<py::object> arrays;
-  SplatsView view;
-
-  explicit HeldSplats(const py::object& splats) {
-    const std::size_t n = view.arrays.count = py::len(splats);
-    const auto keep = [&](const std::string& name, const py::handle& values, std::size_t each,
-                          auto number) {
-      const auto kept = values.cast<Array<decltype(number)>>();
-      if (static_cast<std::size_t>(kept.size()) != each * n) {
-        throw std::invalid_argument(name + ": expected " + std::to_string(each) +
-                                    " values for each of " + std::to_string(n) + " splats, got " +
-                                    std::to_string(kept.size()));
-      }
-      arrays.push_back(kept);
-      return kept.data();
-    };
-    const auto array = [&](const char* name, std::size_t each) {
-      return keep(name, splats.attr(name), each, 0.0f);
-    };
-    const int degree = view.arrays.sh_degree = splats.attr("sh_degree").cast<int>();
-    if (py::hasattr(splats, "rows")) {
-      view.rows = keep("rows", splats.attr("rows"), rowWords(degree), std::uint32_t{});
-    } else {
-      view.arrays.positions = array("positions", 3);
-      view.arrays.orientations = array("orientations", 4);
-      view.arrays.scales = array("scales", 3);
-      view.arrays.opacities = array("opacities", 1);
-      view.arrays.sh = array("sh", view.arrays.shStride());
-    }
-    view.origin = splats.attr("origin").cast<std::array<double, 3>>();
-    view.model = modelOf(splats.attr("model").cast<int>());
-    for (const py::handle item : splats.attr("channels").attr("items")()) {
-      const auto& [name, values] = item.cast<std::pair<std::string, py::object>>();
-      view.channels.emplace_back(name, keep("channels '" + name + "'", values, 1, 0.0f));
-    }
-  }
-};
 
 // Keeps the arrays beyond the call. Any thread may release them: that takes Python's lock.
 std::shared_ptr<const void> keeperOf(HeldSplats&& splats) {
@@ -137,21 +95,17 @@ std::unique_ptr<PublishedMap> makeMap(std::size_t chunk_bytes, const std::string
 py::tuple toPython(PublishedMap::Group&& group) {
   const auto n = static_cast<py::ssize_t>(group.slots.size());
   Splats& splats = group.splats;
-  const auto k = n > 0 ? static_cast<py::ssize_t>(splats.sh.size()) / (3 * n) : 1;
   py::dict channels;
   for (auto& [name, values] : splats.channels) channels[py::str(name)] = toArray(values, {n});
   py::object pose = py::none();
   if (group.pose) pose = py::cast(valuesOf(*group.pose));
-  return py::make_tuple(
-      group.number, pose, toArray(std::move(group.slots), {n}),
-      py::dict("positions"_a = toArray(std::move(splats.positions), {n, 3}),
-               "orientations"_a = toArray(std::move(splats.orientations), {n, 4}),
-               "scales"_a = toArray(std::move(splats.scales), {n, 3}),
-               "opacities"_a = toArray(std::move(splats.opacities), {n}),
-               "sh"_a = toArray(std::move(splats.sh), {n, k, 3}),
-               "origin"_a =
-                   toArray(std::vector<double>(splats.origin.begin(), splats.origin.end()), {3}),
-               "model"_a = int(splats.model), "channels"_a = channels));
+  const std::vector<double> origin(splats.origin.begin(), splats.origin.end());
+  const int model = int(splats.model);
+  py::dict arguments = arraysOf(std::move(splats));
+  arguments["origin"] = toArray(origin, {3});
+  arguments["model"] = model;
+  arguments["channels"] = channels;
+  return py::make_tuple(group.number, pose, toArray(std::move(group.slots), {n}), arguments);
 }
 
 }  // namespace

@@ -2,38 +2,18 @@
 
 #include <memory>
 
+#include "python/held_splats.hpp"
 #include "python/module.hpp"
-#include "rosplat_core/python/bindings.hpp"
 #include "rosplat_core/refit/refit.hpp"
-#include "rosplat_core/slots/model.hpp"
 
 namespace rosplat::python {
 
 namespace {
 
-std::unique_ptr<Refit> refitOf(const Array<float>& positions, const Array<float>& orientations,
-                               const Array<float>& scales, const Array<float>& opacities,
-                               const Array<float>& sh, const std::array<double, 3>& origin,
-                               int model, unsigned threads,
+std::unique_ptr<Refit> refitOf(const py::object& splats, unsigned threads,
                                CpuRasterizer::Instructions instructions) {
-  SplatsView splats;
-  SplatArrays<const float>& arrays = splats.arrays;
-  const auto count = opacities.size(), coefficients = sh.ndim() == 3 ? sh.shape(1) : 0;
-  while ((arrays.sh_degree + 1) * (arrays.sh_degree + 1) < coefficients) ++arrays.sh_degree;
-  const bool fits = positions.size() == 3 * count && orientations.size() == 4 * count &&
-                    scales.size() == 3 * count && arrays.sh_degree <= 3 &&
-                    (arrays.sh_degree + 1) * (arrays.sh_degree + 1) == coefficients &&
-                    sh.size() == 3 * coefficients * count;
-  if (!fits) throw std::invalid_argument("the arrays are not of the same splats");
-  arrays.count = static_cast<std::size_t>(count);
-  arrays.positions = positions.data();
-  arrays.orientations = orientations.data();
-  arrays.scales = scales.data();
-  arrays.opacities = opacities.data();
-  arrays.sh = sh.data();
-  splats.origin = origin;
-  splats.model = modelOf(model);
-  return std::make_unique<Refit>(splats, std::make_shared<ThreadTeam>(threads), instructions);
+  return std::make_unique<Refit>(HeldSplats(splats).view, std::make_shared<ThreadTeam>(threads),
+                                 instructions);
 }
 
 const float* targetOf(const SplatCamera& camera, const Array<float>& target) {
@@ -55,8 +35,7 @@ void defineRefitting(py::module_& module) {
            py::kw_only(), "position"_a, "scale"_a, "rotation"_a, "opacity"_a, "colour"_a,
            "bands"_a);
   py::class_<Refit>(module, "Refit")
-      .def(py::init(&refitOf), "positions"_a, "orientations"_a, "scales"_a, "opacities"_a, "sh"_a,
-           "origin"_a, "model"_a, "threads"_a = 0,
+      .def(py::init(&refitOf), "splats"_a, "threads"_a = 0,
            "instructions"_a = CpuRasterizer::Instructions::kBest)
       .def(
           "step",
@@ -82,16 +61,7 @@ void defineRefitting(py::module_& module) {
             return py::make_tuple(error, toArray(std::move(gradient), {rows, columns}));
           },
           "camera"_a, "target"_a)
-      .def("splats", [](const Refit& refit) {
-        Splats splats = refit.splats();
-        const auto n = static_cast<py::ssize_t>(splats.size());
-        const auto coefficients = n > 0 ? static_cast<py::ssize_t>(splats.sh.size()) / (3 * n) : 1;
-        return py::dict("positions"_a = toArray(std::move(splats.positions), {n, 3}),
-                        "orientations"_a = toArray(std::move(splats.orientations), {n, 4}),
-                        "scales"_a = toArray(std::move(splats.scales), {n, 3}),
-                        "opacities"_a = toArray(std::move(splats.opacities), {n}),
-                        "sh"_a = toArray(std::move(splats.sh), {n, coefficients, 3}));
-      });
+      .def("splats", [](const Refit& refit) { return arraysOf(refit.splats()); });
 }
 
 }  // namespace rosplat::python

@@ -10,13 +10,12 @@
 #include <utility>
 #include <vector>
 
+#include "python/held_splats.hpp"
 #include "python/module.hpp"
 #include "rosplat_core/levels/detail.hpp"
 #include "rosplat_core/levels/levels.hpp"
 #include "rosplat_core/map/host_slots.hpp"
-#include "rosplat_core/python/bindings.hpp"
 #include "rosplat_core/raster/cpu_rasterizer.hpp"
-#include "rosplat_core/slots/model.hpp"
 #include "rosplat_core/views/render_settings.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
 
@@ -242,14 +241,11 @@ py::dict splatsOf(const CpuRenderer& renderer) {
     }
   }
   const auto n = static_cast<py::ssize_t>(slots.size());
-  const py::ssize_t degree = renderer.slots.shDegree();
-  return py::dict("slots"_a = toArray(std::move(slots), {n}),
-                  "groups"_a = toArray(std::move(groups), {n}),
-                  "positions"_a = toArray(std::move(positions), {n, 3}),
-                  "orientations"_a = toArray(std::move(orientations), {n, 4}),
-                  "scales"_a = toArray(std::move(scales), {n, 3}),
-                  "opacities"_a = toArray(std::move(opacities), {n}),
-                  "sh"_a = toArray(std::move(sh), {n, (degree + 1) * (degree + 1), 3}));
+  py::dict splats = arraysOf(std::move(positions), std::move(orientations), std::move(scales),
+                             std::move(opacities), std::move(sh));
+  splats["slots"] = toArray(std::move(slots), {n});
+  splats["groups"] = toArray(std::move(groups), {n});
+  return splats;
 }
 
 // The nodes of a level of a group, by ascending cells: the width and corners of the cells [m], and
@@ -282,13 +278,11 @@ py::dict nodesOf(const CpuRenderer& renderer, int level, std::uint32_t group) {
     }
   }
   const auto n = static_cast<py::ssize_t>(opacities.size());
-  const py::ssize_t coefficients = (degree + 1) * (degree + 1);
-  return py::dict("size"_a = cellSize(level), "corners"_a = toArray(std::move(corners), {n, 3}),
-                  "positions"_a = toArray(std::move(positions), {n, 3}),
-                  "orientations"_a = toArray(std::move(orientations), {n, 4}),
-                  "scales"_a = toArray(std::move(scales), {n, 3}),
-                  "opacities"_a = toArray(std::move(opacities), {n}),
-                  "sh"_a = toArray(std::move(sh), {n, coefficients, 3}));
+  py::dict nodes_of = arraysOf(std::move(positions), std::move(orientations), std::move(scales),
+                               std::move(opacities), std::move(sh));
+  nodes_of["size"] = cellSize(level);
+  nodes_of["corners"] = toArray(std::move(corners), {n, 3});
+  return nodes_of;
 }
 
 }  // namespace
