@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "rosplat_core/order/depth_order.hpp"
+#include "sorted_slots.hpp"
 
 namespace rosplat {
 namespace {
@@ -33,7 +34,8 @@ struct Row {
     for (const float depth : depths) positions.insert(positions.end(), {0.0f, 0.0f, depth});
   }
   Slots sort(const SortView& view, unsigned threads = 1) const {
-    return DepthOrder(threads).sort(view, positions.data(), extents.data(), extents.size());
+    DepthOrder sorter(threads);
+    return sortedSlots(sorter, view, positions, extents);
   }
   std::vector<float> positions;
   std::vector<float> extents;
@@ -188,8 +190,7 @@ TEST(DepthOrder, CanBeUsedAgainForSmallerAndLargerMaps) {
   DepthOrder sorter(2);
   for (const std::size_t count : {70000u, 10u, 300000u, 0u}) {
     const Row row = cloud(count, 0.01f);
-    EXPECT_EQ(sorter.sort(lookAhead(), row.positions.data(), row.extents.data(), count),
-              row.sort(lookAhead()));
+    EXPECT_EQ(sortedSlots(sorter, lookAhead(), row.positions, row.extents), row.sort(lookAhead()));
   }
 }
 
@@ -248,9 +249,7 @@ TEST(ThreadTeam, ServesItsCallersInTurn) {
   const auto sortOften = [&] {
     DepthOrder sorter(team);
     for (int i = 0; i < 20; ++i) {
-      EXPECT_EQ(
-          sorter.sort(lookAhead(), row.positions.data(), row.extents.data(), row.extents.size()),
-          expected);
+      EXPECT_EQ(sortedSlots(sorter, lookAhead(), row.positions, row.extents), expected);
     }
   };
   std::thread other(sortOften);

@@ -6,9 +6,9 @@
 #include <vector>
 
 #include "rosplat_core/levels/lattice.hpp"
-#include "rosplat_core/order/depth_order.hpp"
 #include "rosplat_core/views/page_shelf.hpp"
 #include "rosplat_core/views/seen_group.hpp"
+#include "sorted_slots.hpp"
 
 namespace rosplat {
 namespace {
@@ -74,8 +74,7 @@ TEST(PageView, LosesNoPageOfWhichASplatIsSeenAndMostOfTheOthers) {
     for (int i = 0; i < 20000; ++i) {
       const Page page(random, {where(random), where(random), where(random)},
                       std::exp(log_size(random)), std::exp(log_size(random)));
-      const bool shown =
-          !sorter.sort(group.view, page.positions.data(), page.extents.data(), kSplats).empty();
+      const bool shown = !sortedSlots(sorter, group.view, page.positions, page.extents).empty();
       const bool may_show = group.pages.mayShow(page.bounds());
       EXPECT_TRUE(may_show || !shown) << i;
       seen += shown;
@@ -117,8 +116,7 @@ TEST(PageView, LosesNoPageWhoseBoundsAreBeyondFloat32) {
     page.extents.push_back(edit.extents[0]);
 
     const SeenGroup of(from, group, {});
-    const auto& shown =
-        sorter.sort(of.view, page.positions.data(), page.extents.data(), kSplats + 1);
+    const auto shown = sortedSlots(sorter, of.view, page.positions, page.extents);
     // The sorters show more than there is where both sides of their test are infinite.
     const bool in_picture = std::any_of(shown.begin(), shown.end(), [&](std::uint32_t slot) {
       return isInPicture(of.view, &page.positions[3 * slot], page.extents[slot]);

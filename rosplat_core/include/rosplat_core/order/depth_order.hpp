@@ -64,24 +64,9 @@ class DepthOrder {
 
   unsigned threads() const { return team_->size(); }
 
-  // Returns the visible slots of [0, count), back to front; of equal depths the higher slot first.
-  // positions: 3 * count [m]; extents: count [m], negative for slots that are never visible.
-  // The result is valid until the next call.
-  const std::vector<std::uint32_t>& sort(const SortView& view, const float* positions,
-                                         const float* extents, std::size_t count) {
-    sort(view, positions, extents, count, Keep{order_});
-    return order_;
-  }
-
-  // The same into the caller's memory: allocate(m) returns where the m visible slots go.
-  template <typename Allocate>
-  void sort(const SortView& view, const float* positions, const float* extents, std::size_t count,
-            const Allocate& allocate) {
-    sort(Splats{&view, positions, extents, nullptr, count}, allocate);
-  }
-
-  // The same for the slots of pages, which must ascend. positions and extents: by row, as in
-  // SortPage. views: by SortPage::view.
+  // Finds the visible slots of pages, which must ascend, back to front; of equal depths the higher
+  // slot first. positions: 3 a row [m]; extents: 1 a row [m], negative for slots that are never
+  // visible. views: by SortPage::view. allocate(m) returns where the m visible slots go.
   template <typename Allocate>
   void sort(const SortView* views, const float* positions, const float* extents,
             const SortPage* pages, std::size_t page_count, const Allocate& allocate) {
@@ -104,18 +89,13 @@ class DepthOrder {
   static constexpr std::size_t kMostScratch = 1u << 17;  // entries, in L2
   static constexpr unsigned kDigitBits = 9;              // 512 targets stay in L1 and its TLB
 
-  // The count slots to sort: those of `pages`, else from 0 on.
+  // The count slots of `pages`.
   struct Splats {
-    const SortView& view(std::size_t i) const {
-      return pages ? views[pages[i / SortPage::kSlots].view] : *views;
-    }
+    const SortView& view(std::size_t i) const { return views[pages[i / SortPage::kSlots].view]; }
     std::uint32_t slot(std::size_t i) const {
-      const std::size_t first =
-          pages ? pages[i / SortPage::kSlots].first_slot : i - i % SortPage::kSlots;
-      return static_cast<std::uint32_t>(first + i % SortPage::kSlots);
+      return pages[i / SortPage::kSlots].first_slot + std::uint32_t(i % SortPage::kSlots);
     }
     std::size_t row(std::size_t i) const {
-      if (!pages) return i;
       return std::size_t{pages[i / SortPage::kSlots].place} * SortPage::kSlots +
              i % SortPage::kSlots;
     }
@@ -130,15 +110,6 @@ class DepthOrder {
   struct Entry {
     std::uint32_t key;
     std::uint32_t slot;
-  };
-
-  // Allocates in the sorter's own memory.
-  struct Keep {
-    std::vector<std::uint32_t>& order;
-    std::uint32_t* operator()(std::size_t total) const {
-      order.resize(total);
-      return order.data();
-    }
   };
 
   // A share of the splats; after cull() the range of the entries found there.
@@ -355,7 +326,6 @@ class DepthOrder {
   ScratchBuffer<Entry> found_;
   ScratchBuffer<Entry> dealt_;
   std::vector<ScratchBuffer<Entry>> scratch_;  // one for each member
-  std::vector<std::uint32_t> order_;
 };
 
 }  // namespace rosplat
