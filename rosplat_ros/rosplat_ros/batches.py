@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core import payload
-
 if TYPE_CHECKING:
     from geometry_msgs.msg import Pose
 
@@ -30,20 +28,6 @@ def slots_of(batch: GaussianArray) -> NDArray[np.uint32]:
     if len(listed):
         return listed.copy()
     return np.arange(batch.first_slot, batch.first_slot + batch.count, dtype=np.uint32)
-
-
-def positions_of(batch: GaussianArray) -> NDArray[np.float32]:
-    """The positions of a batch's splats, relative to its origin, float32 (n, 3) [m].
-
-    Raises ValueError for a batch that contradicts itself.
-    """
-    if not batch.format:
-        return array(batch.positions).reshape(-1, 3)
-    if batch.format == payload.PACKED:
-        rows = array(batch.payload).reshape(batch.count, 8 + (batch.sh_degree + 1) ** 2)
-        return rows[:, :3]
-    packed = array(batch.payload, np.uint8)
-    return payload.decode(packed, batch.count, batch.sh_degree, batch.format).positions
 
 
 def array_bytes(batch: GaussianArray) -> int:

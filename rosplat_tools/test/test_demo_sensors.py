@@ -19,13 +19,12 @@ from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, Imu
 
-from rosplat_core.cameras import Camera, look_at
 from rosplat_core.splats import Splats
 from rosplat_msgs.srv import RenderView
 from rosplat_ros.map_publisher import MapPublisher
 from rosplat_testing import PATIENCE
 from rosplat_tools.emulation.demo_sensors import Beat
-from rosplat_tools.emulation.flight import CAMERA_OFFSET, GRAVITY, Flight, draw_grid
+from rosplat_tools.emulation.flight import CAMERA_OFFSET, GRAVITY, Flight
 
 FLIGHT = Flight(np.array([1.0, -2.0, 0.5]), 3.0, 1.2, 6.0)
 KEEP_ALL = QoSProfile(depth=2000)
@@ -173,14 +172,6 @@ def test_a_flight_is_laid_around_the_middle_of_a_map() -> None:
     assert 1.5 < flight.radius < 3
 
 
-def test_the_test_picture_has_a_horizon_where_the_camera_is_level() -> None:
-    level = look_at([0, 0, 2], [10, 0, 2])
-    picture = draw_grid(Camera(0, 64, 48, 50.0, 50.0, 32.0, 24.0, level), ground=0.0, cell=1.0)
-    assert picture.shape == (48, 64, 3)
-    assert (picture[:24, :, 2] > picture[:24, :, 0]).all()
-    assert len(np.unique(picture[30:].reshape(-1, 3), axis=0)) > 20
-
-
 def test_moments_are_multiples_of_the_period_whenever_the_clock_is_read() -> None:
     beat = Beat(10**8)
     assert beat.due(1_234_567_890) == [1_200_000_000]
@@ -288,41 +279,34 @@ def test_each_picture_is_asked_for_once_and_shown_with_its_camera(
         for number, request in enumerate(asked)
     }
     assert len(cameras) == len(asked)
-    drawn = [(cameras[s], p) for s, p in zip(stamps, pictures, strict=True) if s in cameras]
-    assert len(drawn) > 8
-    for number, image in drawn:
+    drawn = [(cameras[s], p) for s, p in zip(stamps, pictures, strict=True)]
+    assert 2 not in dict(drawn)  # which was refused
+    for _, image in drawn:
         assert (image.width, image.height, image.step) == (64, 48, 192)
         assert (image.encoding, image.header.frame_id) == ("rgb8", "demo_camera_optical")
         values = np.frombuffer(image.data, np.uint8)
-        # Half of it over half the background; a refusal shows the test picture.
+        # Half of it over half the background.
         expected = 255 * (0.5 + 0.5 * np.array([32, 34, 38]) / 255)
-        is_map = np.abs(values.reshape(-1, 3) - expected).max() < 1
-        assert is_map == (number != 2)
+        assert np.abs(values.reshape(-1, 3) - expected).max() < 1
     for info, image in zip(infos, pictures, strict=False):
         assert info.header == image.header
         assert info.k[2] == pytest.approx(asked[0].camera.cx - 0.5)
 
 
-def test_without_a_renderer_there_is_a_picture_and_the_map_is_circled(
+def test_without_a_renderer_the_map_is_circled(
     node: Node, spin_some: Callable[[], None], random_splats: Callable[..., Splats]
 ) -> None:
-    pictures: list[Image] = []
     poses: list[PoseStamped] = []
-    node.create_subscription(Image, "camera/image_raw", pictures.append, KEEP_ALL)
     node.create_subscription(PoseStamped, "camera/pose", poses.append, KEEP_ALL)
     splats = random_splats(5000, 0)
     far = Splats(**(vars(splats) | {"origin": np.array([100.0, 50.0, 3.0])}))
     # A map that never gets whole is flown around after a while.
     MapPublisher(node, frame_id="odom").replace(far, expected_slots=6000)
     with sensors(node, "period:=2.0"):
-        until(spin_some, lambda: len(pictures) > 3 and len(poses) > 25)
+        until(spin_some, lambda: len(poses) > 25)
     assert {pose.header.frame_id for pose in poses} == {"odom"}
     places = np.array([vector(pose.pose.position) for pose in poses])
     np.testing.assert_allclose(places[:, :2].mean(axis=0), [100, 50], atol=2)
-    assert (pictures[0].width, pictures[0].height) == (320, 240)
-    shown = np.frombuffer(pictures[0].data, np.uint8)
-    assert shown.std() > 10
-    assert not np.array_equal(shown, np.frombuffer(pictures[-1].data, np.uint8))
 
 
 def test_all_is_stamped_by_a_simulated_clock(node: Node, spin_some: Callable[[], None]) -> None:

@@ -93,7 +93,8 @@ class ResidualMap:
         splats = replace(drawn.with_sh_degree(0), channels={CHANNEL: values})
         self._publisher.frame_id = self._map.frame_id
         if self._slots is None:
-            self._publisher.replace(replace(splats[:0], channels={}), expected_slots=len(slots))
+            self._publisher.replace(replace(splats[:0], channels={}))
+            self._publisher.expect(len(slots))
             changed = np.ones(len(slots), bool)
         else:
             if len(gone := np.setdiff1d(self._slots, slots)):

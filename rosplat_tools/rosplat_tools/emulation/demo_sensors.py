@@ -1,7 +1,7 @@
 """A robot for the demo: circles the map and publishes what its IMU and its camera measure.
 
 Everything follows the node's clock, simulated or not. A renderer at `gaussians/render` draws the
-camera's picture; without one, it is a test picture.
+camera's pictures.
 """
 
 from __future__ import annotations
@@ -24,20 +24,19 @@ from std_msgs.msg import Header
 
 from rosplat_core.cameras import Camera
 from rosplat_core.lenses import Lens
-from rosplat_core.maps import Arrival
+from rosplat_core.maps import GaussianMap
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import RenderView
-from rosplat_ros.batches import positions_of
 from rosplat_ros.images import to_bytes, to_image
-from rosplat_ros.map_receiver import MapReceiver
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import run_node
 from rosplat_ros.qos import overridable
 from rosplat_ros.view_cameras import view_camera
 from rosplat_tools.cameras.calibrations import of_lens
 from rosplat_tools.cameras.pose_history import SECOND
-from rosplat_tools.emulation.flight import CAMERA_OFFSET, Attitude, Flight, Motion, draw_grid
+from rosplat_tools.emulation.flight import CAMERA_OFFSET, Attitude, Flight, Motion
 from rosplat_tools.frames import TF, TFMessage, transform
+from rosplat_tools.map_subscriber import MapSubscriber
 
 # Reliable: such a publisher serves best-effort subscribers, too. Deep: late ticks send bursts.
 SENSOR = QoSProfile(depth=100)
@@ -50,9 +49,6 @@ CAMERA = "demo_camera_optical"
 IMU_RATE = 200  # of TF, too [Hz]
 IMAGE_RATE = 10  # of camera poses, and at most of pictures [Hz]
 BACKLOG = SECOND // 2  # the longest delay that a tick makes up for [ns]
-MAP_TIMEOUT = 3.0  # how long the rest of a map is waited for before the path is laid [s]
-FARTHEST = 1e15  # that a splat may be to count [m]
-MAP_SAMPLES = 2000  # most positions of a batch that the path is laid around
 ORDER_TIMEOUT = 0.2  # what a renderer may wait for a sorter [s]
 PICTURE_TIMEOUT = 5.0  # after which a renderer's answer is given up [s]
 BACKGROUND = np.array([32, 34, 38]) / 255  # as in the shipped rviz configuration
@@ -119,47 +115,26 @@ class DemoSensors(Node):
         else:
             self.get_logger().info("no tf2_msgs here: TF is left out")
 
-        self._topic = self.resolve_topic_name("gaussians")
+        self._map = MapSubscriber(self, GaussianMap(), lambda: None, most_sh_degree=0)
+        self._map.applied = self._on_batch
+        self._is_new = False  # whether the path is still to be laid around the map
+        self._topic = self._map.topic
         self._renderer: Client = self.create_client(RenderView, f"{self._topic}/render")
         self.get_logger().info(f"waiting for a map on {self._topic} to fly around")
-        self._samples: list[NDArray[np.float64]] = []
-        self._heard = ""  # frame of the last batch
-        self._begun: float | None = None  # when the map did whose path is still to be laid
-        MapReceiver(self, self._on_batch)
         self.create_timer(self._imu_beat.period / SECOND, self._tick)
 
     # --- The path ---------------------------------------------------------------------------------
 
-    def _on_batch(self, message: GaussianArray, _: Arrival) -> None:
-        """Lays the path anew around every whole map that is sent."""
-        if message.operation == GaussianArray.DELETE:
-            return
-        if message.operation == GaussianArray.REPLACE:
-            self._samples, self._received, self._begun = [], 0, time.monotonic()
-        if self._begun is None:
-            return
-        try:
-            positions = positions_of(message)
-        except ValueError as error:
-            self.get_logger().error(
-                f"{self._topic}: a batch is refused: {error}", throttle_duration_sec=5.0
-            )
-            return
-        self._received += len(positions)
-        positions = positions[:: len(positions) // MAP_SAMPLES + 1]
-        origin = np.array([message.origin.x, message.origin.y, message.origin.z])
-        sample = positions + origin
-        self._samples.append(sample[(np.abs(sample) <= FARTHEST).all(axis=1)])
-        self._heard = message.header.frame_id
-        if self._received >= message.expected_slots:
-            self._lay()
+    def _on_batch(self, batch: GaussianArray) -> None:
+        self._is_new |= batch.operation == GaussianArray.REPLACE
 
     def _lay(self) -> None:
-        """Lays the path around what has come of the map, if anything has."""
-        if any(map(len, self._samples)):
-            self._begun = None
-            self._frame_id = self._heard
-            self._fly(Flight.around(np.concatenate(self._samples), self._period))
+        """Lays the path anew around a map that was sent, once all of it has come."""
+        self._map.take()
+        if self._is_new and not self._map.problem() and len(sample := self._map.books.sample):
+            self._is_new = False
+            self._frame_id = self._map.header.frame_id
+            self._fly(Flight.around(sample, self._period))
 
     def _fly(self, flight: Flight) -> None:
         self._flight = flight
@@ -176,8 +151,7 @@ class DemoSensors(Node):
     # --- What is measured -------------------------------------------------------------------------
 
     def _tick(self) -> None:
-        if self._begun is not None and time.monotonic() - self._begun > MAP_TIMEOUT:
-            self._lay()
+        self._lay()
         flight = self._flight
         if not flight:
             return
@@ -225,7 +199,6 @@ class DemoSensors(Node):
             self._renderer.remove_pending_request(self._picture.future)
             self._picture = None
         if not self._renderer.service_is_ready():
-            self._publish_picture(camera, stamp, self._draw_grid(camera))
             return
         request = RenderView.Request(camera=view, order_timeout=ORDER_TIMEOUT)
         future = self._renderer.call_async(request)
@@ -244,13 +217,8 @@ class DemoSensors(Node):
             self.get_logger().warning(
                 f"{self._topic}/render: no picture of the map: {error}", throttle_duration_sec=10.0
             )
-            pixels = self._draw_grid(picture.camera)
+            return
         self._publish_picture(picture.camera, picture.stamp, pixels)
-
-    def _draw_grid(self, camera: Camera) -> NDArray[np.uint8]:
-        flight = self._flight
-        assert flight
-        return draw_grid(camera, flight.centre[2] - flight.height, flight.radius / 4)
 
     def _publish_picture(self, camera: Camera, stamp: Time, pixels: NDArray[np.uint8]) -> None:
         header = Header(stamp=stamp, frame_id=CAMERA)

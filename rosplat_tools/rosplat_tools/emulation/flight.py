@@ -134,35 +134,6 @@ class Flight:
         return Camera(0, width, height, focal, focal, width / 2, height / 2, to_camera)
 
 
-def draw_grid(camera: Camera, ground: float, cell: float) -> NDArray[np.uint8]:
-    """(height, width, 3) a test picture: chequered ground at a height z, of cells [m], and sky."""
-    u = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
-    v = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
-    rotation = camera.camera_to_world[:3, :3]
-    x, y, z = (
-        rotation[axis, 0] * u + (rotation[axis, 1] * v + rotation[axis, 2])[:, None]
-        for axis in range(3)
-    )
-    above = camera.position[2] - ground
-    with np.errstate(divide="ignore"):
-        distance = -above / z
-    is_ground = (z < 0) & (distance < 50 * cell)
-    distance = np.where(is_ground, distance, 0.0)
-    column, row = (
-        np.floor((camera.position[axis] + distance * along) / cell).astype(np.int64)
-        for axis, along in ((0, x), (1, y))
-    )
-    light = ((column + row) % 2)[..., None]
-    haze = np.clip(distance / (50 * cell), 0, 1)[..., None]
-    horizon, zenith = np.array([176, 188, 200]), np.array([74, 104, 144])
-    tiles = np.array([92, 96, 104]) + light * np.array([74, 68, 56])
-    steep = np.clip(z / np.sqrt(x * x + y * y + z * z), 0, 1)[..., None]
-    sky = horizon + np.sqrt(steep) * (zenith - horizon)
-    ground_colour = tiles + haze * (horizon - tiles)
-    picture: NDArray[np.uint8] = np.where(is_ground[..., None], ground_colour, sky).astype(np.uint8)
-    return picture
-
-
 def _wave(turn: float, count: int, size: float) -> tuple[float, float, float]:
     """size sin(count turn) and its first two derivatives by turn."""
     sin, cos = math.sin(count * turn), math.cos(count * turn)
