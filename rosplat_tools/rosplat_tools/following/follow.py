@@ -29,7 +29,7 @@ from rosplat_ros.program.parameters import declare, declare_compression, declare
 from rosplat_ros.program.running import Cancelled, run_node
 from rosplat_tools.following.watched_file import WatchedFile
 from rosplat_tools.following.whole_maps import WholeMaps
-from rosplat_tools.foreign import TYPES, Foreign, Reader, foreign, message_class
+from rosplat_tools.foreign import TYPES, Foreign, MapReader, foreign, message_class
 from rosplat_tools.latched import LatchedSubscription
 
 SHOWING = 0.1  # least time between two looks for maps to be shown [s]
@@ -61,7 +61,7 @@ class Follow(Node):
         else:
             cloud = self.resolve_topic_name("cloud")
             self.get_logger().info(f"no path is given: waiting for {cloud}, or another topic")
-        self._heard: dict[str, Reader] = {}  # by topic, whose map is to be shown
+        self._heard: dict[str, MapReader] = {}  # by topic, whose map is to be shown
         self._rests_until = 0.0  # of time.monotonic() [s]
         self._missing = [kind for kind in map(foreign, TYPES) if not self._subscribe(kind)]
         self.create_timer(SHOWING, self._show_heard, clock=self._steady)

@@ -2,8 +2,7 @@
 
 A module has
 - TYPE, TOPIC and DEPTH: the message, and how its own programs publish it;
-- Reader(name, warn): take(message) keeps what a message says, and tells whether the map that
-  splats() makes of all messages so far is one to be shown; frame_id is the map's, empty if unknown;
+- Reader(name, warn), a MapReader;
 - messages(kind, splats, header): the messages of a whole map; kind makes an empty one.
 
 A type whose package isn't installed is neither heard nor sent, and said so.
@@ -11,6 +10,7 @@ A type whose package isn't installed is neither heard nor sent, and said so.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from typing import Any, Protocol
@@ -21,16 +21,22 @@ from rosplat_core.formats.decoded import Warn
 from rosplat_core.splats import Splats
 
 
-class Reader(Protocol):
-    """Makes a map of messages. Both methods raise InputError, naming topic and field."""
+class MapReader(ABC):
+    """Makes a map of messages. Methods raise InputError, naming topic and field."""
 
-    frame_id: str
+    def __init__(self, name: str, warn: Warn) -> None:
+        """name: of the topic."""
+        self.frame_id = ""  # the map's; empty if unknown
+        self._name, self._warn = name, warn
+        self._splats: Splats
 
+    @abstractmethod
     def take(self, message: Any) -> bool:
         """Keeps what a message says. Whether there is a map to be shown now."""
 
     def splats(self) -> Splats:
-        """The map as it is."""
+        """The map of all messages so far."""
+        return self._splats
 
 
 class Foreign(Protocol):
@@ -39,7 +45,7 @@ class Foreign(Protocol):
     TYPE: str
     TOPIC: str
     DEPTH: int
-    Reader: Callable[[str, Warn], Reader]
+    Reader: Callable[[str, Warn], MapReader]
     messages: Callable[[type, Splats, Header], Iterator[Any]]
 
 

@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 
 from rosplat_core.formats.decoded import Columns, IntoSplats, Warn
 from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, concatenate, sh_coefficients
-from rosplat_tools.foreign import message_class
+from rosplat_tools.foreign import MapReader, message_class
 
 TYPE = "gaussian_interface/msg/GaussianArray"
 TOPIC = "gaussian_model"
@@ -26,12 +26,11 @@ AT_A_TIME = 4000  # splats in a message, as its authors send them
 _DEGREES = {3 * sh_coefficients(degree): degree for degree in range(MAX_SH_DEGREE + 1)}
 
 
-class Reader:
+class Reader(MapReader):
     """All splats since the map began."""
 
     def __init__(self, name: str, warn: Warn) -> None:
-        self.frame_id = ""
-        self._name, self._warn = name, warn
+        super().__init__(name, warn)
         self._parts: list[Splats] = []
 
     def take(self, message: Any) -> bool:

@@ -13,32 +13,25 @@ from typing import Any
 import numpy as np
 from std_msgs.msg import Header
 
-from rosplat_core.formats.decoded import Columns, IntoSplats, Warn
+from rosplat_core.formats.decoded import Columns, IntoSplats
 from rosplat_core.models import Model
 from rosplat_core.splats import LOW_PASS, MAX_SH_DEGREE, InputError, Splats, sh_coefficients
 from rosplat_ros.messages import as_array, plain_frame
+from rosplat_tools.foreign import MapReader
 
 TYPE = "gaussian_splatting_msgs/msg/GaussianSplats"
 TOPIC = "gaussian_splats"
 DEPTH = 1
 
 
-class Reader:
+class Reader(MapReader):
     """The map of the last message."""
-
-    def __init__(self, name: str, warn: Warn) -> None:
-        self.frame_id = ""
-        self._name, self._warn = name, warn
 
     def take(self, message: Any) -> bool:
         """Raises InputError for a message that contradicts itself."""
         self._splats = self._read(message)
         self.frame_id = plain_frame(message.header.frame_id)
         return True
-
-    def splats(self) -> Splats:
-        """The message's splats."""
-        return self._splats
 
     def _read(self, message: Any) -> Splats:
         if message.type not in (message.TYPE_3DGS, message.TYPE_2DGS):

@@ -18,10 +18,11 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 
 from rosplat_core.formats import ply
-from rosplat_core.formats.decoded import IntoSplats, Warn
+from rosplat_core.formats.decoded import IntoSplats
 from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError, Splats
 from rosplat_ros.messages import as_array, plain_frame
+from rosplat_tools.foreign import MapReader
 
 _TYPES = {
     PointField.INT8: "i1",
@@ -52,12 +53,8 @@ _SAME = {
 }
 
 
-class Reader:
+class Reader(MapReader):
     """The map of the last cloud."""
-
-    def __init__(self, name: str, warn: Warn) -> None:
-        self.frame_id = ""
-        self._name, self._warn = name, warn
 
     def take(self, message: PointCloud2) -> bool:
         """Raises InputError for a cloud without the fields, or one that contradicts itself."""
@@ -66,10 +63,6 @@ class Reader:
         self._splats = ply.from_rows(path, rows, lambda _: None, self._warn, into)
         self.frame_id = plain_frame(message.header.frame_id)
         return True
-
-    def splats(self) -> Splats:
-        """The cloud's splats."""
-        return self._splats
 
 
 def messages(kind: type[PointCloud2], splats: Splats, header: Header) -> Iterator[PointCloud2]:

@@ -16,7 +16,7 @@ from std_msgs.msg import Header
 from rosplat_core.formats.decoded import Columns, IntoSplats, Warn
 from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients
 from rosplat_ros.messages import as_array, plain_frame
-from rosplat_tools.foreign import message_class
+from rosplat_tools.foreign import MapReader, message_class
 from rosplat_tools.foreign.covariances import from_covariances, to_covariances
 
 TYPE = "gsplat_msgs/msg/SplatArray"
@@ -24,12 +24,8 @@ TOPIC = "splat_array"
 DEPTH = 1
 
 
-class Reader:
+class Reader(MapReader):
     """The map of the last array."""
-
-    def __init__(self, name: str, warn: Warn) -> None:
-        self.frame_id = ""
-        self._name, self._warn = name, warn
 
     def take(self, message: Any) -> bool:
         """Raises InputError for an array that contradicts itself."""
@@ -37,10 +33,6 @@ class Reader:
         if message.splats:
             self.frame_id = plain_frame(message.splats[0].pose.header.frame_id)
         return True
-
-    def splats(self) -> Splats:
-        """The array's splats."""
-        return self._splats
 
 
 def messages(kind: Any, splats: Splats, header: Header) -> Iterator[Any]:

@@ -20,6 +20,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError, Splats
 from rosplat_core.view import frame_at
 from rosplat_ros.messages import as_array, plain_frame
+from rosplat_tools.foreign import MapReader
 from rosplat_tools.foreign import compact_rows as rows
 from rosplat_tools.foreign.chunks import Chunks
 
@@ -30,12 +31,11 @@ DEPTH = 1000  # of chunks, which make one map
 CHUNK = 1 << 20  # of a message [bytes]
 
 
-class Reader:
+class Reader(MapReader):
     """The map of the last whole file."""
 
     def __init__(self, name: str, warn: Warn) -> None:
-        self.frame_id = ""
-        self._name, self._warn = name, warn
+        super().__init__(name, warn)
         self._chunks = Chunks(name)
 
     def take(self, message: Any) -> bool:
@@ -68,10 +68,6 @@ class Reader:
                 return ply.read(Path(file.name), lambda _: None, self._warn, IntoSplats())
             except InputError as error:
                 raise InputError(str(error).replace(file.name, self._name)) from error
-
-    def splats(self) -> Splats:
-        """The file's splats."""
-        return self._splats
 
 
 def messages(kind: Any, splats: Splats, header: Header) -> Iterator[Any]:

@@ -16,6 +16,7 @@ from rosplat_core.formats.decoded import Warn
 from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError, Splats, concatenate
 from rosplat_ros.messages import as_array, plain_frame
+from rosplat_tools.foreign import MapReader
 from rosplat_tools.foreign import compact_rows as rows
 from rosplat_tools.foreign.chunks import Chunks
 
@@ -31,12 +32,11 @@ MOST_TILES = 1024  # that may be on their way at once
 _Key = tuple[int, int, int, int]
 
 
-class Reader:
+class Reader(MapReader):
     """The tiles of the last COMMIT."""
 
     def __init__(self, name: str, warn: Warn) -> None:
-        self.frame_id = ""
-        self._name, self._warn = name, warn
+        super().__init__(name, warn)
         self._tiles: dict[_Key, Splats] = {}
         self._waiting: dict[tuple[str, int], list[tuple[_Key | None, Splats | None]]] = {}
         self._chunks = Chunks(name)
