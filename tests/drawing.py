@@ -122,7 +122,7 @@ class Target:
         """(height, width, 4) premultiplied RGBA."""
         if self.view is None:
             return draw(self.renderer, camera)["colour"]  # type: ignore[no-any-return]
-        self.view.look(camera)
+        self.view.set_camera(camera)
         self.view.draw(sort_now=True)
         picture: Array = self.renderer.read_color()
         return picture

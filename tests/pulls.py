@@ -47,8 +47,8 @@ class Pull:
     def hold(self, held: bool) -> None:
         self._pull.held = held
 
-    def hear(self, of: Label, batch: Any, now: float, served: bool) -> Step:
-        return _step(self._pull.hear((*of, batch), now, served))
+    def receive(self, of: Label, batch: Any, now: float, served: bool) -> Step:
+        return _step(self._pull.receive((*of, batch), now, served))
 
     def miss(self, of: Label, now: float) -> None:
         self._pull.miss((*of, None), now)
@@ -56,8 +56,8 @@ class Pull:
     def subscribed_anew(self, now: float) -> None:
         self._pull.subscribed_anew(now)
 
-    def lose(self, now: float) -> None:
-        self._pull.lose(now)
+    def restart(self, now: float) -> None:
+        self._pull.restart(now)
 
     def answer(self, number: int, batches: Any, block: int, now: float, served: bool) -> Step:
         labelled = [(*of, batch) for of, batch in batches]

@@ -138,7 +138,7 @@ class Receiver:
             self._pull.miss(label(self.coming.popleft()), self._now)
         elif what <= 1 and self.coming:
             message = self.coming.popleft()
-            self._do(self._pull.hear(label(message), message, self._now, served))
+            self._do(self._pull.receive(label(message), message, self._now, served))
         elif what == 2 and self._request and served and wire.pull:
             request, self._request = self._request, None
             asked = PullMap.Request(

@@ -19,8 +19,8 @@ MOST_WAITING = 1 << 26  # of MapPull [bytes]
 def beginning() -> tuple[Pull, Request]:
     """A receiver that has revision 1 and heard 5, and what it asks for."""
     pull = Pull()
-    assert pull.hear(Label("map", 1, True), "one", 0.0, True).batches == [("one", Arrival.HEARD)]
-    step = pull.hear(Label("map", 5, False, 100), "five", 1.0, True)
+    assert pull.receive(Label("map", 1, True), "one", 0.0, True).batches == [("one", Arrival.HEARD)]
+    step = pull.receive(Label("map", 5, False, 100), "five", 1.0, True)
     assert not step.batches
     assert (step.request.map_id, step.request.after_revision, step.request.first_block) == (
         "map", 1, 0,
@@ -124,7 +124,7 @@ def test_who_joins_late_asks_though_it_hears_nothing_and_knows_of_no_server(serv
     assert (request.map_id, request.first_block) == ("map", 3)
     step = pull.answer(request.number, [part(7)], 0, 0.5, served)
     assert step.batches == [("pulled 7", Arrival.LAST)]
-    assert pull.hear(Label("map", 8, False), "eight", 0.6, served).batches == [
+    assert pull.receive(Label("map", 8, False), "eight", 0.6, served).batches == [
         ("eight", Arrival.HEARD)
     ]
     assert not pulled_again(pull, 8, np.arange(0.7, 20.0, 0.1), served)
@@ -135,7 +135,7 @@ def test_batches_of_a_publisher_that_serves_no_pulls_do_not_wait() -> None:
     pull.tick(0.0, False)
     asked = []
     for revision in range(5, 105):
-        step = pull.hear(Label("map", revision, False), revision, 0.1 * revision, False)
+        step = pull.receive(Label("map", revision, False), revision, 0.1 * revision, False)
         assert step.batches == [(revision, Arrival.HEARD)]
         asked += [step.request, pull.tick(0.1 * revision, False).request]
     assert 3 <= len([request for request in asked if request]) <= 6  # in ten seconds
@@ -153,10 +153,10 @@ def test_a_round_whose_changes_all_wait_ends_the_pull() -> None:
     """However fast the map changes: blocks of later answers are newer than those of the first."""
     pull, request = beginning()
     for revision in (6, 7):
-        assert pull.hear(Label("map", revision, False), revision, 1.05, True) == Step()
+        assert pull.receive(Label("map", revision, False), revision, 1.05, True) == Step()
     pull.answer(request.number, [part(6)], 3, 1.1, True)  # 6 is in all that follows
-    assert pull.hear(Label("map", 8, False), 8, 1.15, True) == Step()
-    assert pull.hear(Label("map", 9, False), 9, 1.16, True) == Step()
+    assert pull.receive(Label("map", 8, False), 8, 1.15, True) == Step()
+    assert pull.receive(Label("map", 9, False), 9, 1.16, True) == Step()
     step = pull.answer(pull.tick(1.3, True).request.number, [part(8)], 0, 1.4, True)
     assert step == Step(
         [("pulled 8", Arrival.PULLED), (7, Arrival.PULLED), (8, Arrival.LAST), (9, Arrival.HEARD)]
@@ -169,8 +169,8 @@ def test_a_change_that_comes_after_the_round_ends_the_pull_too() -> None:
     pull.answer(request.number, [part(5)], 3, 1.1, True)
     step = pull.answer(pull.tick(1.3, True).request.number, [part(7)], 0, 1.4, True)
     assert step.batches == [("pulled 7", Arrival.PULLED)]
-    assert pull.hear(Label("map", 6, False), 6, 1.5, True) == Step()
-    assert pull.hear(Label("map", 7, False), 7, 1.5, True) == Step(
+    assert pull.receive(Label("map", 6, False), 6, 1.5, True) == Step()
+    assert pull.receive(Label("map", 7, False), 7, 1.5, True) == Step(
         [(6, Arrival.PULLED), (7, Arrival.LAST)]
     )
     assert not pull.pulling
@@ -179,7 +179,7 @@ def test_a_change_that_comes_after_the_round_ends_the_pull_too() -> None:
 def test_changes_with_a_gap_end_no_pull() -> None:
     pull, request = beginning()
     pull.answer(request.number, [part(5)], 3, 1.1, True)
-    assert pull.hear(Label("map", 7, False), 7, 1.15, True) == Step()
+    assert pull.receive(Label("map", 7, False), 7, 1.15, True) == Step()
     step = pull.answer(pull.tick(1.3, True).request.number, [part(7)], 0, 1.4, True)
     assert step.batches == [("pulled 7", Arrival.PULLED)]
     assert pull.pulling
@@ -206,7 +206,7 @@ def test_what_there_was_no_room_for_is_pulled_once_there_is() -> None:
 def test_a_map_that_no_server_has_any_more_gives_way_to_another() -> None:
     """As of a publisher that began anew, of which nothing was heard."""
     pull = Pull()
-    pull.hear(Label("old", 4, True), "four", 0.0, True)
+    pull.receive(Label("old", 4, True), "four", 0.0, True)
     request = pull.tick(2.1, True).request
     assert request.map_id == "old"
     assert pull.answer(request.number, [], 0, 2.2, True) == Step()
@@ -220,9 +220,9 @@ def test_a_map_that_no_server_has_any_more_gives_way_to_another() -> None:
 
 def test_after_a_batch_without_memory_all_is_pulled_after_a_while() -> None:
     pull = Pull()
-    pull.hear(Label("map", 1, True), "one", 0.0, True)
-    pull.hear(Label("map", 2, False), "two", 0.1, True)
-    pull.lose(0.1)
+    pull.receive(Label("map", 1, True), "one", 0.0, True)
+    pull.receive(Label("map", 2, False), "two", 0.1, True)
+    pull.restart(0.1)
     assert not pull.tick(0.2, True).request
     request = pull.tick(10.0, True).request
     assert (request.map_id, request.after_revision, request.first_block) == ("map", 0, 0)
@@ -234,7 +234,7 @@ def test_after_a_batch_without_memory_all_is_pulled_after_a_while() -> None:
 def test_a_last_batch_that_got_lost_is_pulled() -> None:
     """Nothing that is heard tells of it: who hears nothing for a while asks."""
     pull = Pull()
-    pull.hear(Label("map", 1, True), "one", 0.0, True)
+    pull.receive(Label("map", 1, True), "one", 0.0, True)
     assert not pull.tick(1.9, True).request
     assert not pull.tick(2.0, False).request  # nobody could answer
     request = pull.tick(2.1, True).request
@@ -249,9 +249,11 @@ def test_a_last_batch_that_got_lost_is_pulled() -> None:
 
 def test_what_is_heard_overtakes_an_answer_that_nothing_got_lost() -> None:
     pull = Pull()
-    pull.hear(Label("map", 1, True), "one", 0.0, True)
+    pull.receive(Label("map", 1, True), "one", 0.0, True)
     request = pull.tick(2.1, True).request
-    assert pull.hear(Label("map", 2, False), "two", 2.2, True).batches == [("two", Arrival.HEARD)]
+    assert pull.receive(Label("map", 2, False), "two", 2.2, True).batches == [
+        ("two", Arrival.HEARD)
+    ]
     assert pull.answer(request.number, [part(1)], 0, 2.3, True) == Step()
     assert not pull.pulling
 
@@ -260,14 +262,14 @@ def lacking() -> Pull:
     """A receiver that missed revisions 4 and 5 of 8, where nobody serves pulls."""
     pull = Pull()
     for revision in (1, 2, 3, 6, 7, 8):
-        step = pull.hear(Label("map", revision, revision == 1), revision, 0.1 * revision, False)
+        step = pull.receive(Label("map", revision, revision == 1), revision, 0.1 * revision, False)
         assert step.batches == [(revision, Arrival.HEARD)]
     return pull
 
 
 def again(pull: Pull, revisions: Iterable[int], now: float) -> list[tuple[Any, Arrival]]:
     """What a receiver takes of revisions that come once more."""
-    steps = (pull.hear(Label("map", r, r == 1), r, now, False) for r in revisions)
+    steps = (pull.receive(Label("map", r, r == 1), r, now, False) for r in revisions)
     return [batch for step in steps for batch in step.batches]
 
 
@@ -313,16 +315,16 @@ def test_batches_that_come_again_from_a_publisher_with_pulls_cost_what_has_chang
     """As of a publisher that DDS lost and found."""
     pull = Pull()
     for revision in range(1, 9):
-        pull.hear(Label("map", revision, revision == 1), revision, 0.1, True)
-    step = pull.hear(Label("map", 5, False), 5, 9.0, True)
+        pull.receive(Label("map", revision, revision == 1), revision, 0.1, True)
+    step = pull.receive(Label("map", 5, False), 5, 9.0, True)
     assert step.batches == []
     assert (step.request.after_revision, step.request.first_block) == (8, 0)
     for revision in (6, 7, 8):
-        assert pull.hear(Label("map", revision, False), revision, 9.1, True).batches == []
+        assert pull.receive(Label("map", revision, False), revision, 9.1, True).batches == []
     step = pull.answer(step.request.number, [part(8)], 0, 9.2, True)
     assert step.batches == [("pulled 8", Arrival.LAST)]
     # Or of one that began anew under the same name.
-    step = pull.hear(Label("map", 2, False), 2, 9.3, True)
+    step = pull.receive(Label("map", 2, False), 2, 9.3, True)
     step = pull.answer(step.request.number, [part(2, replaces=True)], 0, 9.4, True)
     assert step.batches == [("pulled 2", Arrival.LAST)]
 
@@ -354,7 +356,7 @@ def test_who_does_not_answer_is_waited_for_a_while() -> None:
     assert pull.tick(15.1, True) == Step()
     assert pull.tick(15.3, True) == Step([("five", Arrival.HEARD)])
     assert not pull.pulling
-    assert pull.hear(Label("map", 7, False), "seven", 15.4, True).batches == [
+    assert pull.receive(Label("map", 7, False), "seven", 15.4, True).batches == [
         ("seven", Arrival.HEARD)
     ]
     asked = [now for now in np.arange(15.5, 75.0, 0.1) if pull.tick(now, True).request]
@@ -379,7 +381,9 @@ def test_a_pull_goes_on_at_its_block_after_a_silence() -> None:
     pull.answer(request.number, [part(5)], 7, 1.1, True)
     requests = [pull.tick(now, True).request for now in np.arange(1.2, 60.0, 0.1)]
     assert not pull.pulling
-    assert pull.hear(Label("map", 6, False), "six", 60.0, True).batches == [("six", Arrival.HEARD)]
+    assert pull.receive(Label("map", 6, False), "six", 60.0, True).batches == [
+        ("six", Arrival.HEARD)
+    ]
     last = [request for request in requests if request][-1]
     assert (last.after_revision, last.first_block) == (1, 7)
     step = pull.answer(last.number, [part(6)], 0, 60.1, True)
@@ -394,11 +398,11 @@ def test_an_answer_that_batches_have_overtaken_has_them_wait_for_the_next() -> N
     pull, request = beginning()
     for now in np.arange(1.1, 20.0, 0.1):
         pull.tick(now, True)
-    pull.hear(Label("map", 9, False), "nine", 20.0, True)
+    pull.receive(Label("map", 9, False), "nine", 20.0, True)
     again = pull.answer(request.number, [part(6)], 0, 20.1, True)
     assert again.batches == []
     assert again.request
-    assert pull.hear(Label("map", 10, False), "ten", 20.2, True) == Step()
+    assert pull.receive(Label("map", 10, False), "ten", 20.2, True) == Step()
     step = pull.answer(again.request.number, [part(9)], 0, 40.0, True)
     assert step.batches == [("pulled 9", Arrival.LAST), ("ten", Arrival.HEARD)]
 
@@ -407,7 +411,7 @@ def test_what_waits_has_a_limit_and_what_is_dropped_is_pulled() -> None:
     pull, request = beginning()
     most = MOST_WAITING // 2
     for revision in (6, 7, 8):
-        assert not pull.hear(Label("map", revision, False, most), revision, 1.1, True).batches
+        assert not pull.receive(Label("map", revision, False, most), revision, 1.1, True).batches
     step = pull.answer(request.number, [part(5)], 0, 1.2, True)
     assert step.batches == [("pulled 5", Arrival.LAST)]  # 6 is lacking
     assert step.request.after_revision == 5
@@ -503,7 +507,7 @@ def time_to_pull(server: Server, limit: float, step: float = 0.05) -> float:
         if now >= next_edit and server.runs(now):
             next_edit = now + server.edits
             label, batch = server.edit()
-            copy.do(copy.pull.hear(label, batch, now, True), server)
+            copy.do(copy.pull.receive(label, batch, now, True), server)
         for number, batches, next_block in server.work(now, step):
             copy.do(copy.pull.answer(number, batches, next_block, now, True), server)
         copy.do(copy.pull.tick(now, True), server)

@@ -620,7 +620,7 @@ splats = scenes.load("procedural:2000")
 rendering.insert_all(renderer, splats)
 view = embedded.NumberedView(renderer)
 renderer.settings.rasterizer = Rasterizer.PROCESSOR if sys.argv[1] else Rasterizer.AUTO
-view.look(scenes.overview(splats, 320, 180, 1)[0])
+view.set_camera(scenes.overview(splats, 320, 180, 1)[0])
 for opacity in (1.0, 0.5):
     renderer.set_box((0, 0, 0.5), (0.5, 9, 1), opacity)
     assert view.draw(sort_now=True)["rasterizer"] == "processor"

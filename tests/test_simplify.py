@@ -53,7 +53,7 @@ def out(tmp_path: Path) -> Path:
 def learnt(splats: Splats) -> Learnt:
     trial = Trial(splats)
     found = Learnt(trial, Around(splats))
-    found.look(trial, 24, lambda part: None)
+    found.add(trial, 24, lambda part: None)
     return found
 
 

@@ -66,7 +66,7 @@ struct Plain {
     SplatPicture picture = draw(choose(control, request.layers[0].settings.detail, true));
     for (int i = 1;; ++i) {
       if (pictures) *pictures = i;
-      const auto error = control.drew(picture.layers[0].error, picture.layers[0].drawn);
+      const auto error = control.adjust(picture.layers[0].error, picture.layers[0].drawn);
       if (!error) return picture;
       picture = draw(*error);
     }
@@ -141,7 +141,7 @@ TEST(Budget, IsUsedAsSoonAsItSuffices) {
   DetailControl control;
   const double coarsest = plain.choose(control, {Kind::kSplats, 1});
   EXPECT_EQ(coarsest, kCoarsestError);
-  control.drew(coarsest, 8);
+  control.adjust(coarsest, 8);
   EXPECT_LT(plain.choose(control, {Kind::kSplats, 5000}), 100);
 }
 
@@ -178,10 +178,10 @@ TEST(Budget, CountsWhatIsDrawn) {
   DetailControl control;
   const double error = plain.choose(control, {Kind::kSplats, kMost}, true);
   EXPECT_LT(drawn(error), kMost / 2);
-  const auto next = control.drew(error, drawn(error));
+  const auto next = control.adjust(error, drawn(error));
   ASSERT_TRUE(next);
   EXPECT_NEAR(double(drawn(*next)), 0.95 * kMost, 0.01 * kMost);
-  EXPECT_FALSE(control.drew(*next, drawn(*next)));
+  EXPECT_FALSE(control.adjust(*next, drawn(*next)));
   EXPECT_NEAR(plain.choose(control, {Kind::kSplats, kMost}, true), *next, 0.01 * *next);
 }
 
@@ -193,7 +193,7 @@ TEST(Budget, IsKeptWhereNoErrorUsesIt) {
   const double step = 1.1 * error;
   const auto drawn = [&](double tried) { return std::size_t{tried < step ? 15000u : 4000u}; };
   int pictures = 1;
-  for (; const auto next = control.drew(error, drawn(error)); ++pictures) {
+  for (; const auto next = control.adjust(error, drawn(error)); ++pictures) {
     error = *next;
     ASSERT_LT(pictures, 20);
   }
@@ -211,9 +211,9 @@ TEST(Budget, OfOneSplatEndsAndSaysWhatTheLeastIs) {
   EXPECT_EQ(control.problem(), "no fewer than " + std::to_string(drawn) + " splats can be drawn");
   // A view that moves goes there at once.
   DetailControl moving;
-  moving.drew(0, 3000);
+  moving.adjust(0, 3000);
   const double error = plain.choose(moving, {Kind::kSplats, 1});
-  EXPECT_FALSE(moving.drew(error, plain.draw(error).layers[0].drawn));
+  EXPECT_FALSE(moving.adjust(error, plain.draw(error).layers[0].drawn));
   EXPECT_EQ(moving.problem(), control.problem());
   plain.draw(control, 1000);
   EXPECT_EQ(control.problem(), "");
@@ -226,8 +226,8 @@ TEST(DetailControl, DrawsNoMoreThanThereIs) {
   const auto drawn = [&](double error) { return double(plain.draw(error).layers[0].drawn); };
   double most = 0;
   DetailControl moving, coarsening;
-  moving.drew(30, std::size_t(drawn(30)));
-  coarsening.drew(0, std::size_t(all));
+  moving.adjust(30, std::size_t(drawn(30)));
+  coarsening.adjust(0, std::size_t(all));
   for (double error = 0.3; error < 30; error *= 1.3) {
     most = std::max(most, drawn(error));
     DetailControl control;
@@ -239,7 +239,7 @@ TEST(DetailControl, DrawsNoMoreThanThereIs) {
     for (int i = 0; i < 200; ++i) {
       const double error = plain.choose(control, detail), now = drawn(error);
       EXPECT_LE(now, all) << error;
-      control.drew(error, std::size_t(now));
+      control.adjust(error, std::size_t(now));
       if (control.settled()) break;
     }
     EXPECT_TRUE(control.settled());
@@ -253,7 +253,7 @@ TEST(DetailControl, DrawsAnErrorThatIsAskedForAtOnce) {
   DetailControl control;
   EXPECT_EQ(plain.choose(control, {}), 0);
   EXPECT_EQ(plain.choose(control, {Kind::kError, 12.5}), 12.5);
-  control.drew(12.5, 3000);
+  control.adjust(12.5, 3000);
   EXPECT_EQ(plain.choose(control, {Kind::kError, 40}), 40);
   EXPECT_TRUE(control.settled());
 }
@@ -264,7 +264,7 @@ TEST(DetailControl, MovesABudgetSlowlyUnlessAtOnce) {
   const double coarse = plain.choose(control, {Kind::kSplats, 1000});
   EXPECT_NEAR(plain.estimate().drawn(coarse), 950, 1);  // at once, for nobody saw another
   const auto draw = [&](double error) {
-    control.drew(error, std::size_t(plain.estimate().drawn(error)));
+    control.adjust(error, std::size_t(plain.estimate().drawn(error)));
   };
   draw(coarse);
   const double next = plain.choose(control, {Kind::kSplats, 20000});

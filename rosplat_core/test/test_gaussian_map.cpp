@@ -168,11 +168,11 @@ TEST_F(GaussianMapTest, IsCompleteOnceTheLastOfWhatIsPulledIsThere) {
 }
 
 TEST_F(GaussianMapTest, IsNotCompleteWhereAPulledBatchFailed) {
-  const auto pulled = [&](std::uint32_t slot, Arrival arrival, const GaussianMap::Keep& keep) {
+  const auto pulled = [&](std::uint32_t slot, Arrival arrival, const GaussianMap::OnEdit& on_edit) {
     Batch batch(7, GaussianBatch::UPSERT, slot, 1);
     batch.arrival = arrival;
     BatchReport fresh;
-    map.apply(batch.look(), fresh, keep);
+    map.apply(batch.look(), fresh, on_edit);
   };
   apply(Batch(7, GaussianBatch::UPSERT, 0, 1));
   const auto fails = [](const auto&, const MapState&) { throw std::bad_alloc(); };
@@ -394,7 +394,7 @@ struct Onlooker {
 
   static void look() {
     auto seen = std::async(std::launch::async, [] {
-      return map->look([](const MapState& state, const auto&...) { return state.revision; });
+      return map->inspect([](const MapState& state, const auto&...) { return state.revision; });
     });
     ++looks;
     if (seen.wait_for(std::chrono::seconds(late ? 0 : 30)) != std::future_status::ready) {

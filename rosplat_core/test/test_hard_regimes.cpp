@@ -14,7 +14,7 @@ constexpr float kAhead = 2.0f;
 
 MapSample sampleOf(const SampledSplat& splat, std::uint32_t count = 3) {
   MapSample sample;
-  for (std::uint32_t slot = 0; slot < count; ++slot) sample.keep(slot, splat);
+  for (std::uint32_t slot = 0; slot < count; ++slot) sample.set(slot, splat);
   return sample;
 }
 

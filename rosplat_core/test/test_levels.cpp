@@ -508,12 +508,12 @@ TEST(LevelBuilder, BuildsHoweverMuchComesAndKeepsLittleOfIt) {
     builder.apply(edit, 0);  // before it has taken the one before
     std::this_thread::sleep_for(std::chrono::microseconds(500));
     most = std::max(most, builder.bytes());
-    update = builder.take(false);
+    update = builder.update(false);
   }
   ASSERT_TRUE(update);
   EXPECT_EQ(update->entries.size(), (kSplats + SlotPage::kSlots - 1) / SlotPage::kSlots);
   EXPECT_LT(most, std::size_t{64} << 20);
-  builder.take(true);
+  builder.update(true);
   EXPECT_EQ(builder.error(), "");
 }
 

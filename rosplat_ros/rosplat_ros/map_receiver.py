@@ -74,12 +74,12 @@ class MapReceiver:
         """Whether a part of the map is missing and being pulled."""
         return self._pull.pulling
 
-    def lose(self) -> None:
+    def pull_again(self) -> None:
         """Tells that there was no memory for a batch, and that those after it weren't applied: all
         of the map is pulled again after a while.
         """
         with self._lock:
-            self._pull.lose(time.monotonic())
+            self._pull.restart(time.monotonic())
 
     def _subscribe(self, chosen: MapQos) -> None:
         """Subscribes, or subscribes anew."""
@@ -117,7 +117,7 @@ class MapReceiver:
             if self._pull.held and served and not replaces:
                 self._pull.miss(labelled(message), now)
             else:
-                self._do(self._pull.hear(labelled(message), now, served))
+                self._do(self._pull.receive(labelled(message), now, served))
 
     def _tick(self) -> None:
         with self._lock:

@@ -120,7 +120,7 @@ class MapReceiver::Listener {
     pull_.subscribedAnew(now());
     map_ = rclcpp::create_subscription<Message>(
         node_.parameters, node_.topics, options_.topic, qos,
-        [this](std::shared_ptr<const Message> message) { hear(std::move(message)); }, options);
+        [this](std::shared_ptr<const Message> message) { receive(std::move(message)); }, options);
   }
 
  private:
@@ -157,14 +157,14 @@ class MapReceiver::Listener {
     }
   }
 
-  void hear(std::shared_ptr<const Message> message) {
+  void receive(std::shared_ptr<const Message> message) {
     note(message->map_id);
     pull_.held = options_.busy();
     // A REPLACE is taken in any case: it drops all that waits.
     if (pull_.held && served() && message->operation != Message::REPLACE) {
       return pull_.miss(labelled(std::move(message)).label, now());
     }
-    act(pull_.hear(labelled(std::move(message)), now(), served()));
+    act(pull_.receive(labelled(std::move(message)), now(), served()));
   }
 
   void note(const std::string& map_id) {
@@ -184,7 +184,7 @@ class MapReceiver::Listener {
     if (step.subscribe_anew) subscribe_anew_ = true;
     for (const auto& [message, arrival] : step.batches) {
       if (!take(*message, arrival)) {
-        pull_.lose(now());
+        pull_.restart(now());
         break;
       }
     }

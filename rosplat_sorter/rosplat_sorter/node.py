@@ -51,9 +51,9 @@ class _AtWork:
         self._spoilt = 0  # sum of the LOSSES at the last report
         self.wanted = time.monotonic()  # when a view last wanted an order
 
-    def lose(self) -> None:
+    def pull_again(self) -> None:
         """Pulls all of the map again, after a while."""
-        self._map.lose()
+        self._map.pull_again()
 
     def report(self) -> Report:
         """Warns of a backlog, a map that isn't whole, and of losses since the last report."""
@@ -129,7 +129,7 @@ class SorterNode(Node):
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             self.create_timer(WATCH_PERIOD, self._watch, clock=steady)
         self._at_work.wanted = time.monotonic()
-        self._at_work.worker.look(message)
+        self._at_work.worker.set_camera(message)
 
     def _report(self) -> Report:
         return self._at_work.report() if self._at_work else Report("no view wants an order", {})
@@ -172,9 +172,9 @@ class SorterNode(Node):
         if self._may_say(subject):
             self.get_logger().warning(text)
 
-    def lose(self) -> None:
+    def pull_again(self) -> None:
         if self._at_work:
-            self._at_work.lose()
+            self._at_work.pull_again()
 
     def _may_say(self, subject: str) -> bool:
         now = time.monotonic()

@@ -77,7 +77,7 @@ class Host(Protocol):
 
     def warn(self, subject: str, text: str) -> None: ...
 
-    def lose(self) -> None:
+    def pull_again(self) -> None:
         """Has all of the map come again: there was no memory for a batch, and those that waited
         behind it are dropped.
         """
@@ -102,7 +102,7 @@ class _Inbox:
         self.batch_bytes -= sum(array_bytes(batch) for batch, _ in self.batches)
         self.batches.clear()
 
-    def look(self, message: ViewCamera) -> None:
+    def set_camera(self, message: ViewCamera) -> None:
         """Keeps a camera, the newest of each view, and of no more views than are answered."""
         self.views.pop(message.view_id, None)
         self.views[message.view_id] = message
@@ -172,7 +172,7 @@ class Worker:
             self._inbox.edit(batch, arrival)
             self._wake.notify_all()
 
-    def look(self, message: ViewCamera) -> None:
+    def set_camera(self, message: ViewCamera) -> None:
         """Takes a camera; one of the same view that still waits is forgotten.
 
         One with the sequence 0 asks for no order.
@@ -180,7 +180,7 @@ class Worker:
         if not message.sequence:
             return
         with self._wake:
-            self._inbox.look(message)
+            self._inbox.set_camera(message)
             self._wake.notify_all()
 
     def use(self, backend: str, threads: int) -> None:
@@ -301,7 +301,7 @@ class Worker:
             if isinstance(error, MemoryError):
                 with self._wake:
                     self._inbox.forget()
-                self._host.lose()
+                self._host.pull_again()
             return
         self._batches += 1
         self._applied = time.monotonic()

@@ -44,7 +44,7 @@ class Recorder:
     def warn(self, subject, text):
         self.inform(subject, text)
 
-    def lose(self):
+    def pull_again(self):
         self.inform("lost", "all is to come again")
 
     def wait(self, condition):
@@ -148,7 +148,7 @@ def test_an_order_answers_its_view(start, make_batch, make_look):
     worker.edit(make_batch(3, frame_id="map"))
     look = make_look(sequence=7)
     look.header.stamp.sec = 42
-    worker.look(look)
+    worker.set_camera(look)
     answer = host.answer(7)
     assert list(answer.slots) == [2, 1, 0]
     assert answer.header.stamp.sec == 42
@@ -158,7 +158,7 @@ def test_an_order_answers_its_view(start, make_batch, make_look):
 
 def test_a_view_is_answered_once_a_map_begins_and_when_it_changes(start, make_batch, make_look):
     worker, host = start()
-    worker.look(make_look())
+    worker.set_camera(make_look())
     worker.edit(make_batch(3, operation=0))
     assert len(host.answer(revision=1).slots) == 3
     worker.edit(make_batch(2, revision=2, operation=2))
@@ -171,10 +171,10 @@ def test_of_a_burst_only_the_newest_view_is_sorted(start, make_batch, make_look)
     worker, host = start()
     GatedBackend.gate.clear()
     worker.edit(make_batch())
-    worker.look(make_look(sequence=1))
+    worker.set_camera(make_look(sequence=1))
     assert GatedBackend.sorting.wait(PATIENCE)
     for sequence in range(2, 102):
-        worker.look(make_look(sequence=sequence, x=0.001 * sequence))
+        worker.set_camera(make_look(sequence=sequence, x=0.001 * sequence))
     GatedBackend.gate.set()
     host.answer(101)
     assert [answer.sequence for answer in host.answers] == [1, 101]
@@ -184,8 +184,8 @@ def test_of_a_burst_only_the_newest_view_is_sorted(start, make_batch, make_look)
 def test_who_asks_for_no_order_gets_none(start, make_batch, make_look):
     worker, host = start()
     worker.edit(make_batch())
-    worker.look(make_look(view_id="sorts itself", sequence=0))
-    worker.look(make_look(view_id="asks", sequence=1))
+    worker.set_camera(make_look(view_id="sorts itself", sequence=0))
+    worker.set_camera(make_look(view_id="asks", sequence=1))
     host.answer(1, view_id="asks")
     assert [answer.view_id for answer in host.answers] == ["asks"]
 
@@ -194,11 +194,11 @@ def test_a_map_that_is_pulled_at_once_is_sorted_once(start, make_batch, make_loo
     monkeypatch.setattr("rosplat_sorter.worker.PULL_PATIENCE", PATIENCE)
     worker, host = start()
     worker.edit(make_batch(operation=0, revision=5), Arrival.PULLED)
-    worker.look(make_look(sequence=1))
+    worker.set_camera(make_look(sequence=1))
     worker.edit(make_batch(1, revision=5, first_slot=3), Arrival.PULLED)
-    worker.look(make_look(sequence=2))
+    worker.set_camera(make_look(sequence=2))
     worker.edit(make_batch(1, revision=5, first_slot=4), Arrival.LAST)
-    worker.look(make_look(sequence=3))
+    worker.set_camera(make_look(sequence=3))
     assert len(host.answer(3).slots) == 5
     assert {len(answer.slots) for answer in host.answers} == {5}
     assert not [line for line in host.lines if "missed" in line]
@@ -209,10 +209,10 @@ def test_orders_during_a_long_pull_name_no_revision(start, make_batch, make_look
     monkeypatch.setattr("rosplat_sorter.worker.PULL_PATIENCE", 0.1)
     worker, host = start()
     worker.edit(make_batch(operation=0, revision=5))
-    worker.look(make_look(sequence=1))
+    worker.set_camera(make_look(sequence=1))
     assert host.answer(1).revision == 5
     worker.edit(make_batch(1, revision=9, first_slot=3), Arrival.PULLED)
-    worker.look(make_look(sequence=2))
+    worker.set_camera(make_look(sequence=2))
     assert (host.answer(2).revision, len(host.answer(2).slots)) == (0, 4)
     worker.edit(make_batch(1, revision=12, first_slot=4), Arrival.LAST)
     assert len(host.answer(2, revision=12).slots) == 5
@@ -222,7 +222,7 @@ def test_orders_of_a_map_that_lacks_a_batch_name_no_revision(start, make_batch, 
     worker, host = start()
     worker.edit(make_batch(operation=0))
     worker.edit(make_batch(1, revision=3, first_slot=4))
-    worker.look(make_look(sequence=1))
+    worker.set_camera(make_look(sequence=1))
     assert (host.answer(1).revision, len(host.answer(1).slots)) == (0, 4)
     worker.edit(make_batch(1, revision=3, first_slot=3), Arrival.LAST)
     assert len(host.answer(1, revision=3).slots) == 5
@@ -233,7 +233,7 @@ def test_it_says_when_too_much_waits(start, make_batch, make_look, monkeypatch):
     worker, host = start()
     GatedBackend.gate.clear()
     worker.edit(make_batch())
-    worker.look(make_look())
+    worker.set_camera(make_look())
     assert GatedBackend.sorting.wait(PATIENCE)
     revision = 1
     while not worker.busy:
@@ -251,7 +251,7 @@ def test_views_are_answered_between_batches_that_wait(start, make_batch, make_lo
     worker, host = start()
     worker.edit(make_batch(50))
     for view_id in views:
-        worker.look(make_look(view_id=view_id))
+        worker.set_camera(make_look(view_id=view_id))
     for view_id in views:
         host.answer(view_id=view_id, revision=1)
     GatedBackend.gate.clear()
@@ -275,7 +275,7 @@ def test_of_batches_that_wait_none_is_applied_that_another_replaces(start, make_
     worker, host = start()
     worker.edit(make_batch())
     GatedBackend.gate.clear()
-    worker.look(make_look())
+    worker.set_camera(make_look())
     assert GatedBackend.sorting.wait(PATIENCE)
     for revision in range(2, 20):
         worker.edit(make_batch(50, revision=revision))
@@ -292,7 +292,7 @@ def test_views_do_not_displace_each_other(start, make_batch, make_look):
     worker, host = start()
     worker.edit(make_batch())
     for view_id in "abc":
-        worker.look(make_look(view_id=view_id))
+        worker.set_camera(make_look(view_id=view_id))
     for view_id in "abc":
         assert len(host.answer(view_id=view_id).slots) == 3
 
@@ -300,17 +300,17 @@ def test_views_do_not_displace_each_other(start, make_batch, make_look):
 def test_what_did_not_change_is_answered_but_not_sorted_again(start, make_batch, make_look):
     worker, host = start()
     worker.edit(make_batch())
-    worker.look(make_look(sequence=1))
+    worker.set_camera(make_look(sequence=1))
     first = host.answer(1)
-    worker.look(make_look(sequence=1))  # a sign of life
-    worker.look(make_look(sequence=2))
+    worker.set_camera(make_look(sequence=1))  # a sign of life
+    worker.set_camera(make_look(sequence=2))
     second = host.answer(2)
     assert second.slots is first.slots
-    worker.look(make_look(sequence=3))
+    worker.set_camera(make_look(sequence=3))
     host.answer(3)
     assert GatedBackend.sorts == 1
     assert [answer.sequence for answer in host.answers] == [1, 2, 3]
-    worker.look(make_look(sequence=4, x=1.0))
+    worker.set_camera(make_look(sequence=4, x=1.0))
     host.answer(4)
     assert GatedBackend.sorts == 2
 
@@ -318,21 +318,21 @@ def test_what_did_not_change_is_answered_but_not_sorted_again(start, make_batch,
 def test_a_map_that_is_played_once_more_is_sorted_again(start, make_batch, make_look):
     worker, host = start()
     worker.edit(make_batch(operation=0))
-    worker.look(make_look(sequence=1))
+    worker.set_camera(make_look(sequence=1))
     assert len(host.answer(1).slots) == 3
     worker.edit(make_batch(5, operation=0))  # of the same revision
-    worker.look(make_look(sequence=2))
+    worker.set_camera(make_look(sequence=2))
     assert len(host.answer(2).slots) == 5
 
 
 def test_silent_views_are_forgotten(start, make_batch, make_look, monkeypatch):
     worker, host = start()
     worker.edit(make_batch())
-    worker.look(make_look(view_id="gone"))
+    worker.set_camera(make_look(view_id="gone"))
     host.answer(view_id="gone")
     now = time.monotonic() + FORGET_AFTER + 1
     monkeypatch.setattr(time, "monotonic", lambda: now)
-    worker.look(make_look(view_id="here"))
+    worker.set_camera(make_look(view_id="here"))
     host.answer(view_id="here")
     worker.edit(make_batch(revision=2))
     host.answer(view_id="here", revision=2)
@@ -343,7 +343,7 @@ def test_views_without_end_do_not_pile_up(start, make_batch, make_look):
     worker, host = start()
     worker.edit(make_batch())
     for number in range(MAX_VIEWS + 20):
-        worker.look(make_look(view_id=str(number)))
+        worker.set_camera(make_look(view_id=str(number)))
         host.answer(view_id=str(number))
     host.answers.clear()
     worker.edit(make_batch(revision=2))
@@ -359,11 +359,11 @@ def test_bad_messages_are_reported_and_survived(start, make_batch, make_look):
     worker.edit(make_batch(revision=3, opacities=[1.0, float("nan"), 1.0]))
     host.said("missed 1 batch before 3")
     host.said("1 splat of batch 3 dropped")
-    worker.look(make_look(view_id="bad", fx=0.0))
+    worker.set_camera(make_look(view_id="bad", fx=0.0))
     host.said("of view 'bad' dropped: fx is 0.0")
-    worker.look(make_look(view_id="astray", frame_id="odom"))
+    worker.set_camera(make_look(view_id="astray", frame_id="odom"))
     host.said("header.frame_id is 'odom', the map's 'map'")
-    worker.look(make_look())
+    worker.set_camera(make_look())
     assert list(host.answer().slots) == [2, 0]
 
 
@@ -372,7 +372,7 @@ def test_a_backend_that_fails_is_left_for_the_best_other(start, make_batch, make
     BrokenBackend.where = where
     worker, host = start("broken")
     worker.edit(make_batch())
-    worker.look(make_look())
+    worker.set_camera(make_look())
     answer = host.answer()
     assert answer.backend in BACKENDS.keys() - {"broken"}
     assert list(answer.slots) == [2, 1, 0]
@@ -387,7 +387,7 @@ def test_what_replaces_a_backend_may_fail_too(start, make_batch, make_look, monk
     with worker._wake:  # all at once
         worker.edit(make_batch())
         worker.edit(make_batch(1, revision=2, first_slot=7, positions=[0.0, 0.0, 1.5]))
-        worker.look(make_look())
+        worker.set_camera(make_look())
     answer = host.answer(revision=2)
     assert (answer.backend, list(answer.slots)) == ("numpy", [2, 1, 7, 0])
     host.said("backend 'broken' failed: CUDA out of memory")
@@ -418,7 +418,7 @@ def test_a_backend_that_can_t_take_the_map_is_never_used(start, make_batch, make
     BrokenBackend.where = "update"
     worker, host = start("numpy")
     worker.edit(make_batch())
-    worker.look(make_look())
+    worker.set_camera(make_look())
     host.answer()
     with worker._wake:
         worker.use("broken", 1)
@@ -435,7 +435,7 @@ def test_a_map_that_no_backend_takes_leaves_room_for_the_next(
     for backend in (NativeBackend, NumpyBackend):
         monkeypatch.setattr(backend, "update", has_room_for(3, backend.update))
     worker, host = start("native")
-    worker.look(make_look())
+    worker.set_camera(make_look())
     worker.edit(make_batch(5, operation=0))
     host.said("could not sort: Unavailable")
     worker.edit(make_batch(3, operation=0, revision=2))
@@ -446,7 +446,7 @@ def test_a_map_that_no_backend_takes_leaves_room_for_the_next(
 def test_backends_change_while_running(start, make_batch, make_look):
     worker, host = start("numpy")
     worker.edit(make_batch())
-    worker.look(make_look(sequence=1))
+    worker.set_camera(make_look(sequence=1))
     assert host.answer(1).backend == "numpy"
     worker.use("native", 1)
     native = host.answer(1, backend="native")  # without a new camera: the view sees who sorts
@@ -459,7 +459,7 @@ def test_a_viewer_that_shows_the_key_is_answered_through_shared_memory(
     worker, host = start()
     reader = OrderReader()
     worker.edit(make_batch())
-    worker.look(make_look(sequence=1))
+    worker.set_camera(make_look(sequence=1))
     first = host.answer(1)
     assert (first.generation, first.slot_bits) == (0, 2)
     key = int.from_bytes((FOLDER / first.segment).read_bytes()[16:24], sys.byteorder)
@@ -469,17 +469,17 @@ def test_a_viewer_that_shows_the_key_is_answered_through_shared_memory(
         order.segment, order.generation = answer.segment, answer.generation
         return reader.read(order).tolist()
 
-    worker.look(make_look(sequence=2, segment_key=key))  # not sorted again
+    worker.set_camera(make_look(sequence=2, segment_key=key))  # not sorted again
     assert read(host.answer(2)) == [2, 1, 0]
     assert GatedBackend.sorts == 1
-    worker.look(make_look(sequence=3, segment_key=key, x=0.1))
+    worker.set_camera(make_look(sequence=3, segment_key=key, x=0.1))
     assert read(host.answer(3)) == [2, 1, 0]
     assert read(host.answer(2)) == [2, 1, 0]
-    worker.look(make_look(sequence=1, segment_key=key, view_id="another"))
+    worker.set_camera(make_look(sequence=1, segment_key=key, view_id="another"))
     assert read(host.answer(1, view_id="another")) == [2, 1, 0]
     # One that has lost it, or guesses, gets all in the message, without another sort.
     for sequence, wrong in ((4, 0), (5, key + 1)):
-        worker.look(make_look(sequence=sequence, segment_key=wrong, x=0.1))
+        worker.set_camera(make_look(sequence=sequence, segment_key=wrong, x=0.1))
         answer = host.answer(sequence)
         assert (answer.generation, answer.segment) == (0, first.segment)
         assert answer.slots.tolist() == [2, 1, 0]
@@ -494,12 +494,12 @@ def test_a_lost_key_brings_the_last_order_again(start, make_batch, make_look):
     """The sequence is the same: the viewer could not read what answered it."""
     worker, host = start()
     worker.edit(make_batch())
-    worker.look(make_look(sequence=1))
+    worker.set_camera(make_look(sequence=1))
     first = host.answer(1)
     key = int.from_bytes((FOLDER / first.segment).read_bytes()[16:24], sys.byteorder)
-    worker.look(make_look(sequence=1, segment_key=key))
+    worker.set_camera(make_look(sequence=1, segment_key=key))
     host.wait(lambda: host.answers[-1].generation)
-    worker.look(make_look(sequence=1))
+    worker.set_camera(make_look(sequence=1))
     host.wait(lambda: not host.answers[-1].generation)
     assert host.answers[-1].slots.tolist() == [2, 1, 0]
     assert GatedBackend.sorts == 1
@@ -508,13 +508,13 @@ def test_a_lost_key_brings_the_last_order_again(start, make_batch, make_look):
 def test_without_room_orders_travel_in_messages(start, make_batch, make_look, monkeypatch):
     worker, host = start()
     worker.edit(make_batch())
-    worker.look(make_look(sequence=1))
+    worker.set_camera(make_look(sequence=1))
     first = host.answer(1)
     key = int.from_bytes((FOLDER / first.segment).read_bytes()[16:24], sys.byteorder)
     full = types.SimpleNamespace(f_bavail=0, f_frsize=4096)
     monkeypatch.setattr(os, "statvfs", lambda path: full)
     for sequence, x in ((2, 0.0), (3, 0.1)):
-        worker.look(make_look(sequence=sequence, segment_key=key, x=x))
+        worker.set_camera(make_look(sequence=sequence, segment_key=key, x=x))
         assert host.answer(sequence).generation == 0
         assert host.answer(sequence).slots.tolist() == [2, 1, 0]
     host.said("orders travel in messages: [Errno 28] no room")
@@ -526,9 +526,9 @@ def test_what_peers_send_makes_no_more_than_a_line(start, make_batch, make_look)
     worker.edit(make_batch(map_id=long, frame_id=long))
     worker.edit(make_batch(map_id=long, revision=0))
     worker.edit(make_batch(map_id=long, revision=5))
-    worker.look(make_look(view_id=long, frame_id=long))
+    worker.set_camera(make_look(view_id=long, frame_id=long))
     host.said("header.frame_id is 'a\\n\\x1b[31ma")
-    worker.look(make_look(view_id=long, fx=0.0))
+    worker.set_camera(make_look(view_id=long, fx=0.0))
     host.said("fx is 0.0")
     host.said("revision is 0")
     assert max(map(len, host.lines)) < 1000
@@ -539,8 +539,8 @@ def test_views_that_wait_do_not_pile_up(start, make_batch, make_look):
     worker, _ = start()
     GatedBackend.gate.clear()
     worker.edit(make_batch())
-    worker.look(make_look())
+    worker.set_camera(make_look())
     assert GatedBackend.sorting.wait(PATIENCE)
     for number in range(1000):
-        worker.look(make_look(view_id=str(number)))
+        worker.set_camera(make_look(view_id=str(number)))
     assert list(worker._inbox.views) == [str(number) for number in range(1000 - MAX_VIEWS, 1000)]

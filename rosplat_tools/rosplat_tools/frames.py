@@ -74,7 +74,7 @@ class Frames:
             # A buffer without a node doesn't see it, and refuses what is older than it keeps.
             self._jumps = on_restart(node, self._buffer.clear)
 
-    def take(self, transform: TransformStamped, static: bool) -> None:
+    def add(self, transform: TransformStamped, static: bool) -> None:
         """Adds a transform; a static one holds at all times."""
         fill = self._buffer.set_transform_static if static else self._buffer.set_transform
         fill(transform, "")

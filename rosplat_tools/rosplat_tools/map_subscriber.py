@@ -63,7 +63,7 @@ class MapSubscriber:
         self._waiting.append((batch, arrival))
         self._heard()
 
-    def take(self) -> None:
+    def apply_waiting(self) -> None:
         """Applies the batches that wait by now. Call it from one thread at a time."""
         for _ in range(len(self._waiting)):  # those that come meanwhile can keep it from ending
             batch, arrival = self._waiting.popleft()
@@ -75,7 +75,7 @@ class MapSubscriber:
                 self._warn(f"batch {batch.revision} is refused, {self._refused} so far: {reason}")
                 if isinstance(error, MemoryError):
                     self._waiting.clear()
-                    self._subscription.lose()
+                    self._subscription.pull_again()
                     return
                 continue
             self.header = batch.header

@@ -100,7 +100,7 @@ def written(name: str, splats: Splats) -> list[Any]:
 
 def read(name: str, messages: list[Any]) -> Splats:
     reader = foreign.foreign(name).Reader(f"/{name}", silent)
-    assert [reader.take(message) for message in messages][-1]
+    assert [reader.add(message) for message in messages][-1]
     assert reader.frame_id in ("odom", "")  # without ROS 1's slash
     return reader.splats()
 
@@ -236,18 +236,18 @@ def test_tiles_come_and_go_at_their_commit() -> None:
     reader = splat_tiles.Reader("/tiles", silent)
     splats = random_splats(3000, 0)
     messages = written("splat_tiles", splats)
-    assert not any(reader.take(message) for message in messages[:-1])
+    assert not any(reader.add(message) for message in messages[:-1])
     assert len(reader.splats()) == 0
-    assert reader.take(messages[-1])
+    assert reader.add(messages[-1])
     assert len(reader.splats()) == 3000
     tile = messages[1]
     common = {"session_id": "b", "version": 7, "header": HEADER}
     where = {"tile_x": tile.tile_x, "tile_y": tile.tile_y, "tile_z": tile.tile_z}
-    reader.take(SplatTileChunk(operation=SplatTileChunk.DELETE_TILE, **common, **where))
+    reader.add(SplatTileChunk(operation=SplatTileChunk.DELETE_TILE, **common, **where))
     assert len(reader.splats()) == 3000
-    assert reader.take(SplatTileChunk(operation=SplatTileChunk.COMMIT, **common))
+    assert reader.add(SplatTileChunk(operation=SplatTileChunk.COMMIT, **common))
     assert len(reader.splats()) == 3000 - tile.splat_count
-    assert not reader.take(SplatTileChunk(operation=SplatTileChunk.HEARTBEAT, **common))
+    assert not reader.add(SplatTileChunk(operation=SplatTileChunk.HEARTBEAT, **common))
 
 
 def test_a_commit_without_all_chunks_changes_nothing() -> None:
@@ -256,10 +256,10 @@ def test_a_commit_without_all_chunks_changes_nothing() -> None:
     messages[1].chunk_count = 2
     with pytest.raises(InputError, match=r"/tiles: version 0 is committed, and tiles lack chunks"):
         for message in messages:
-            reader.take(message)
+            reader.add(message)
     assert len(reader.splats()) == 0
     for message in written("splat_tiles", random_splats(300, 0)):
-        reader.take(message)
+        reader.add(message)
     assert len(reader.splats()) == 300
 
 
@@ -284,7 +284,7 @@ def test_what_never_becomes_whole_is_forgotten() -> None:
     for version in range(100):
         (message,) = written("splat_blob", random_splats(10, 0))
         message.version, message.chunk_count = version, 2
-        reader.take(message)
+        reader.add(message)
     assert len(reader._chunks._coming) <= 4
 
 
@@ -354,7 +354,7 @@ def test_numbers_beyond_float_are_dropped_without_a_warning_of_numpy(name: str) 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for message in messages:
-            reader.take(message)
+            reader.add(message)
         found = reader.splats()
     assert 0 < len(found) < 8
     assert np.isfinite(found.positions).all()
@@ -367,7 +367,7 @@ def test_the_parts_of_a_growing_map_are_kept_once() -> None:
     for part in parts:
         for message in written("gaussian_array", part):
             message.refresh = False
-            reader.take(message)
+            reader.add(message)
         reader.splats()
     assert len(reader._parts) == 1
     assert_alike(reader.splats(), concatenate(parts), 0.003, 1e-5)
@@ -377,7 +377,7 @@ def test_another_low_pass_filter_is_said() -> None:
     (message,) = written("gaussian_splats", random_splats(3, 0))
     message.eps2d = 0.1
     said: list[str] = []
-    gaussian_splats.Reader("/gaussian_splats", said.append).take(message)
+    gaussian_splats.Reader("/gaussian_splats", said.append).add(message)
     assert said == ["/gaussian_splats: eps2d: 0.1 px^2, drawn with the usual 0.3"]
 
 

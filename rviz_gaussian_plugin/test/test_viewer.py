@@ -548,7 +548,7 @@ def test_a_renderer_that_sorts_itself_asks_no_sorter(
             camera = view_camera(CAMERA)
             # Longer than any test waits for something.
             assert viewer.draw_still(camera, "still", order_timeout=1e6)["order_source"] == "gpu"
-            view_id = viewer.look(camera, "window")
+            view_id = viewer.set_camera(camera, "window")
             assert viewer.draw_frame(view_id, camera)["order_source"] == "gpu"
             viewer.renderer.settings.order = ORDER_SOURCES["sidecar"]
             viewer.draw_frame(view_id, camera)
@@ -560,7 +560,7 @@ def test_a_renderer_that_sorts_itself_asks_no_sorter(
             node.destroy_publisher(sorter)
             listener.wait(lambda: not viewer.count_publishers("gaussians/order"))
             views.clear()
-            viewer.look(camera, "window")
+            viewer.set_camera(camera, "window")
             listener.wait(lambda: views)
             assert (views[0].view_id, views[0].sequence) == (view_id, 0)
     finally:
@@ -616,7 +616,7 @@ def test_no_message_ends_it(error: Exception) -> None:
         get_logger=lambda: SimpleNamespace(
             error=lambda text, **_: lines.append(text), warning=lambda text, **_: lines.append(text)
         ),
-        _map=SimpleNamespace(topic="gaussians", lose=lambda: lost.append(error)),
+        _map=SimpleNamespace(topic="gaussians", pull_again=lambda: lost.append(error)),
         _instance="me",
     )
     viewer._take = lambda *of: Viewer._take(viewer, *of)

@@ -91,12 +91,12 @@ class Learnt:
         self.views = 0.0
         """How many views the sums are of, those that count several times so often."""
 
-    def look(self, trial: Trial, views: int, progress: Callable[[float], None]) -> None:
+    def add(self, trial: Trial, views: int, progress: Callable[[float], None]) -> None:
         """Adds so many new views; trial: the whole map."""
         self.drawn += views
         self._add(trial, self._places.cameras(self.drawn, LEARNT_SEED)[-views:], 1.0, progress)
 
-    def look_again(
+    def add_again(
         self, trial: Trial, cameras: Sequence[Camera], progress: Callable[[float], None]
     ) -> None:
         """Adds these views, as a part of AGAIN of all; trial: the whole map."""
@@ -169,7 +169,7 @@ class Simplification:
         self.views: Views = Around(splats) if path is None else Along(splats, path, margin)
         self._trial: Trial | None = Trial(splats)
         self.learnt = Learnt(self._trial, self.views)
-        self.learnt.look(self._trial, LEARNT, self._telling_of("finding what contributes to views"))
+        self.learnt.add(self._trial, LEARNT, self._telling_of("finding what contributes to views"))
         self.judge = Judge(
             self._trial, self.views.checked, self._telling_of("drawing the views to check")
         )
@@ -207,9 +207,9 @@ class Simplification:
             self._trial = trial = Trial(self._whole)
             cameras = [self.judge.cameras[view] for view in missed]
             tell = self._telling_of(f"learning from {len(missed)} views that miss the bound")
-            self.learnt.look_again(trial, cameras, tell)
+            self.learnt.add_again(trial, cameras, tell)
             tell = self._telling_of("finding what contributes to half as many views again")
-            self.learnt.look(trial, self.learnt.drawn // 2, tell)
+            self.learnt.add(trial, self.learnt.drawn // 2, tell)
             if self._rounds == ROUNDS:  # no other search will make up for what this one misses
                 bound += bound - psnr_of(exceeded(self._errors[new]))
             self._search(bound)

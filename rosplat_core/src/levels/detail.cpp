@@ -109,7 +109,7 @@ double DetailControl::errorForBudget() const {
   return all == 0 ? 0 : expected_->errorFor(kAim * splats);
 }
 
-std::optional<double> DetailControl::drew(double error, std::size_t drawn) {
+std::optional<double> DetailControl::adjust(double error, std::size_t drawn) {
   error_ = error;
   if (!search_) return {};
   Search& of = *search_;

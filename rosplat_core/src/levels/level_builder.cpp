@@ -106,7 +106,7 @@ void LevelBuilder::expectMore(bool more) {
   wake_.notify_one();
 }
 
-std::unique_ptr<LevelsUpdate> LevelBuilder::take(bool wait) {
+std::unique_ptr<LevelsUpdate> LevelBuilder::update(bool wait) {
   std::unique_lock lock(mutex_);
   if (wait) rests_.wait(lock, [this] { return !waits() && !complete_ && !busy_; });
   return std::move(update_);
@@ -155,16 +155,16 @@ void LevelBuilder::run() {
 }
 
 // Applies an edit to the slots.
-void LevelBuilder::take(const GaussianEdit& edit, double now, std::uint64_t number) {
+void LevelBuilder::insert(const GaussianEdit& edit, double now, std::uint64_t number) {
   if (edit.clear) levels_.clear();
   taken_ = number;
   slots_.apply(edit, now, team_.get());
   levels_.mark(slots_, edit.runs);
 }
 
-void LevelBuilder::take(Run run) {
+void LevelBuilder::insert(Run run) {
   GaussianEdit edit = editOf(std::move(run.run), team_.get());
-  take(edit, run.now, run.number);
+  insert(edit, run.now, run.number);
   const std::lock_guard lock(mutex_);
   if (!more_) return;
   spare_.emplace_back();
@@ -185,13 +185,13 @@ void LevelBuilder::takeWaiting() {
       const EditQueue::Waiting next = edits_.pop();
       if (next.edit->clear) update_.reset();
       lock.unlock();
-      take(*next.edit, next.now, edit);
+      insert(*next.edit, next.now, edit);
     } else {
       Run next = std::move(runs_.front());
       runs_.pop_front();
       runs_bytes_ -= bytesOf(next.run);
       lock.unlock();
-      take(std::move(next));
+      insert(std::move(next));
     }
     lock.lock();
   }

@@ -5,7 +5,7 @@
 // 3. layOutSplats: splats become packed slots, in float32 relative to their group's origin in
 //    float64. Single splats without meaning are dropped.
 // 4. The books of slots in use, of each block's group, of poses and of a sample are changed at
-//    once, after `keep` has the edit: if memory is lacking, nothing has changed.
+//    once, after `on_edit` has the edit: if memory is lacking, nothing has changed.
 
 #include "rosplat_core/map/gaussian_map.hpp"
 
@@ -308,13 +308,13 @@ class SlotUse {
 }  // namespace
 
 std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batch,
-                                                       BatchReport& report, const Keep& keep) {
+                                                       BatchReport& report, const OnEdit& on_edit) {
   const std::lock_guard one_by_one(locks_.applying);
   // A pulled batch that fails leaves no gap in the revisions.
   if (batch.arrival != Arrival::kHeard) ++lost_;
   check(batch);
 
-  // Memory may run out at any line until `keep` returns; the map is then unchanged.
+  // Memory may run out at any line until `on_edit` returns; the map is then unchanged.
   auto edit = std::make_shared<GaussianEdit>();
   edit->clear = begins(batch);
   if (batch.operation == GaussianBatch::MOVE) edit->moves = movesOf(batch);
@@ -374,14 +374,14 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
     next.splats += int(kept[i]) - int(use.set(slot, kept[i]));
     if (kept[i]) {
       const std::uint32_t* const words = &edit->slots[kSlotWords * i];
-      sample.keep(slot, {edit->position(i), largestScale(words), slotOpacity(words),
-                         static_cast<std::uint32_t>(group_index)});
+      sample.set(slot, {edit->position(i), largestScale(words), slotOpacity(words),
+                        static_cast<std::uint32_t>(group_index)});
     } else {
       sample.drop(slot);
     }
     ++i;
   });
-  if (keep) keep(edit, next);
+  if (on_edit) on_edit(edit, next);
 
   use.keep();
   if (edit->clear) used_ = std::move(fresh);
@@ -455,7 +455,7 @@ std::vector<bool> GaussianMap::layOutSplats(const GaussianBatch& batch, MapState
 }
 
 std::vector<std::array<double, 3>> GaussianMap::samplePositions() const {
-  return look([](const MapState&, const MapSample& sample, const Groups& groups) {
+  return inspect([](const MapState&, const MapSample& sample, const Groups& groups) {
     std::vector<std::array<double, 3>> positions;
     for (const SampledSplat& splat : sample.splats()) {
       const auto& [x, y, z] = splat.position;

@@ -5,7 +5,7 @@
 
 namespace rosplat {
 
-void MapSample::keep(std::uint32_t slot, const SampledSplat& splat) noexcept {
+void MapSample::set(std::uint32_t slot, const SampledSplat& splat) noexcept {
   while (slot >> k_ >= kMost) {
     ++k_;
     for (std::size_t i = 0; i < kMost; ++i) {

@@ -18,12 +18,12 @@ constexpr double kLevelsShare = 0.5;        // of the time that the last picture
 PaintedMap::PaintedMap(TakeEdit take_edit)
     : take_edit_(std::move(take_edit)), levels_(ThreadTeam::ofViewers()) {}
 
-void PaintedMap::hold(const GaussianEdit& page, double now) {
+void PaintedMap::load(const GaussianEdit& page, double now) {
   const std::unique_lock lock(slots_mutex_);
   slots_.apply(page, now);
 }
 
-void PaintedMap::hold(const MapState& map) { setState(map); }
+void PaintedMap::load(const MapState& map) { setState(map); }
 
 void PaintedMap::setState(const MapState& map) {
   MapState fresh = map;
@@ -134,11 +134,12 @@ std::string PaintedMap::detailProblem(const std::string& view_id) const {
   return found == controls_.end() ? "" : found->second.problem();
 }
 
-std::optional<double> PaintedMap::drew(const std::string& view_id, const PictureLayer& layer,
-                                       const SplatPicture::OfLayer& drawn, double seconds) {
+std::optional<double> PaintedMap::adjustDetail(const std::string& view_id,
+                                               const PictureLayer& layer,
+                                               const SplatPicture::OfLayer& drawn, double seconds) {
   const auto found = controls_.find(view_id);
   if (found == controls_.end()) return {};
-  if (layer.levels) return found->second.drew(drawn.error, drawn.drawn);
+  if (layer.levels) return found->second.adjust(drawn.error, drawn.drawn);
   seconds_in_full_ = seconds;
   return {};
 }

@@ -456,7 +456,7 @@ bool Painter::draw(const std::string& view_id, const Waiting& job) {
       for (std::size_t i = 0; i < asked.layers.size(); ++i) {
         PictureLayer& layer = request.layers[i];
         const auto& drawn = picture_.layers[i];
-        const auto error = asked.layers[i].map->drew(view_id, layer, drawn, now() - start);
+        const auto error = asked.layers[i].map->adjustDetail(view_id, layer, drawn, now() - start);
         layer.error = error.value_or(layer.error);
         again = again || error;
       }

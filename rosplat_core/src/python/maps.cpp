@@ -123,12 +123,12 @@ void defineMaps(py::module_& module) {
           },
           "heard"_a, "now"_a)
       .def("subscribed_anew", &Pull::subscribedAnew, "now"_a)
-      .def("lose", &Pull::lose, "now"_a)
+      .def("restart", &Pull::restart, "now"_a)
       .def("awaits", &Pull::awaits, "number"_a)
       .def(
-          "hear",
+          "receive",
           [](Pull& pull, const Labelled& heard, double now, bool served) {
-            return toPython(pull.hear(labelled(heard), now, served));
+            return toPython(pull.receive(labelled(heard), now, served));
           },
           "heard"_a, "now"_a, "served"_a)
       .def(

@@ -177,7 +177,7 @@ py::dict drawOnCpu(CpuRenderer& renderer, SplatCamera camera, bool mean_depth, b
     PictureLayer& layer = request.layers.front();
     while (layer.levels) {
       const SplatPicture::OfLayer& drawn = picture.layers.front();
-      const std::optional<double> error = renderer.detail.drew(drawn.error, drawn.drawn);
+      const std::optional<double> error = renderer.detail.adjust(drawn.error, drawn.drawn);
       if (!error) break;
       layer.error = *error;
       renderer.rasterizer.draw(request, picture);

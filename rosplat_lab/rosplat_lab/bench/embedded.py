@@ -46,13 +46,13 @@ class NumberedView:
         self.name = name
         self._sequence = 0
 
-    def look(self, camera: Camera) -> int:
+    def set_camera(self, camera: Camera) -> int:
         """Poses the view's camera; returns its number."""
         self._sequence += 1
         self._renderer.set_camera(self.name, self._sequence, *pose(camera))
         return self._sequence
 
-    def give(self, number: int, revision: int, slots: NDArray[np.uint32]) -> None:
+    def set_order(self, number: int, revision: int, slots: NDArray[np.uint32]) -> None:
         """Gives the renderer a sorter's order for a camera of this view and a map's revision."""
         self._renderer.set_order(self.name, number, MAP, revision, "bench", 0.0, slots)
 

@@ -174,7 +174,7 @@ def _beside(
     for number, which in enumerate(chosen):
         try:
             renderer = RENDERERS[which]()
-            renderer.show(splats)
+            renderer.set_map(splats)
         except (ImportError, RuntimeError, ValueError) as error:
             yield Skipped(f"{name}, {which}: {error}")
             continue
@@ -188,7 +188,7 @@ def _beside(
             def frame(
                 index: int, renderer: renderers.Renderer = renderer, cameras: list[Camera] = cameras
             ) -> float:
-                renderer.look(cameras[index % STEPS])
+                renderer.set_camera(cameras[index % STEPS])
                 return milliseconds(renderer.draw)
 
             times = plan.budget.spend(frame, embedded.WARM_UP)
@@ -243,7 +243,7 @@ def _scene(
         cameras = scenes.VIEWS[view](splats, *picture, STEPS)
         if any(order.given for order in kinds.values()):
             orders = truths.orders(splats, cameras)
-        bench.view.look(cameras[0])
+        bench.view.set_camera(cameras[0])
         bench.view.draw(sort_now=True)  # uploads all that waits
         for variant in chosen:
             drawn = variants()[variant]
@@ -288,7 +288,7 @@ class Bench(renderers.DisplayRenderer):
 
     def exact(self, camera: Camera) -> NDArray[np.float32]:
         """Premultiplied RGB over black, (height, width, 3), exactly sorted."""
-        self.look(camera)
+        self.set_camera(camera)
         self.draw()
         return self.picture()
 
@@ -301,9 +301,9 @@ class Bench(renderers.DisplayRenderer):
 
         def frame(index: int) -> float:
             which = index % len(cameras)
-            self.look(cameras[which])
+            self.set_camera(cameras[which])
             if order.given:
-                self.give(orders[which])
+                self.set_order(orders[which])
 
             def draw() -> None:
                 reports.append(self.view.draw())

@@ -94,7 +94,7 @@ def _scene(
             _show(drawer, cameras[0], detail, interactive)
 
             def frame(number: int, cameras: Sequence[Camera] = cameras) -> float:
-                drawer.look(cameras[number % STEPS])
+                drawer.set_camera(cameras[number % STEPS])
                 return milliseconds(drawer.draw)
 
             times = budget.spend(frame, embedded.WARM_UP)
@@ -120,7 +120,7 @@ def _repair(drawer: Ours, splats: Splats, part: int) -> float:
 
 def _show(drawer: Ours, camera: Camera, detail: str, interactive: bool = False) -> None:
     drawer.use({"detail": detail, "interactive": interactive})
-    drawer.look(camera)
+    drawer.set_camera(camera)
     drawer.draw()
 
 

@@ -93,7 +93,7 @@ def watch(viewer: MovingViewer, trace: TextIO) -> None:
             due = max(due + 1 / viewer.rate, now)
             orbit.turn(STEP, 0)
             camera = view_camera(orbit.camera(*viewer.window_size))
-            view_id = viewer.look(camera, "bench")
+            view_id = viewer.set_camera(camera, "bench")
             looked[camera.sequence] = now
             unseen.append(camera.sequence)
             looked.pop(camera.sequence - REMEMBERED, None)

@@ -28,10 +28,10 @@ class Renderer(Protocol):
     device: str
     """The name of what draws."""
 
-    def show(self, splats: Splats) -> None:
+    def set_map(self, splats: Splats) -> None:
         """Takes a map. Raises ValueError for one that it can't draw."""
 
-    def look(self, camera: Camera) -> None:
+    def set_camera(self, camera: Camera) -> None:
         """Takes the camera of the pictures to come."""
 
     def draw(self) -> None:
@@ -73,10 +73,10 @@ class CpuRenderer:
     def use(self, values: dict[str, Any]) -> None:
         self.renderer.settings = embedded.changed(values)
 
-    def show(self, splats: Splats) -> None:
+    def set_map(self, splats: Splats) -> None:
         rendering.insert_all(self.renderer, splats)
 
-    def look(self, camera: Camera) -> None:
+    def set_camera(self, camera: Camera) -> None:
         self._camera = rendering.posed(camera)
 
     def draw(self) -> None:
@@ -111,18 +111,18 @@ class DisplayRenderer:
     def use(self, values: dict[str, Any]) -> None:
         self.renderer.settings = embedded.changed(values)
 
-    def show(self, splats: Splats) -> None:
+    def set_map(self, splats: Splats) -> None:
         rendering.insert_all(self.renderer, splats)
         self.use({})
         self._draw_small()  # uploads all that waits
 
-    def look(self, camera: Camera) -> None:
-        self.number, self._sorts = self.view.look(camera), True
+    def set_camera(self, camera: Camera) -> None:
+        self.number, self._sorts = self.view.set_camera(camera), True
 
-    def give(self, order: NDArray[np.uint32]) -> None:
+    def set_order(self, order: NDArray[np.uint32]) -> None:
         """Takes a sorter's order for the current camera."""
         self._sorts = False
-        self.view.give(self.number, self.renderer.revision, order)
+        self.view.set_order(self.number, self.renderer.revision, order)
 
     def draw(self) -> None:
         self.report = self.view.draw(sort_now=self._sorts)
@@ -139,7 +139,7 @@ class DisplayRenderer:
         return {"memory": self._draw_small()["levels_bytes"]}
 
     def _draw_small(self) -> dict[str, Any]:
-        self._small.look(Camera(0, 16, 16, 16.0, 16.0, 8.0, 8.0, np.eye(4)))
+        self._small.set_camera(Camera(0, 16, 16, 16.0, 16.0, 8.0, 8.0, np.eye(4)))
         report = self._small.draw(sort_now=True)
         self.finish()
         return report
@@ -160,7 +160,7 @@ class GsplatRenderer:
         self._gsplat, self._torch = gsplat, torch
         self.device = f"{torch.cuda.get_device_name()}, gsplat {gsplat.__version__}"
 
-    def show(self, splats: Splats) -> None:
+    def set_map(self, splats: Splats) -> None:
         self._origin = splats.origin
         self._antialiased = splats.model is Model.EWA_ANTIALIASED
         self._take(
@@ -174,7 +174,7 @@ class GsplatRenderer:
         self._torch.cuda.reset_peak_memory_stats()
         self._map_bytes = int(self._torch.cuda.memory_allocated())
 
-    def look(self, camera: Camera) -> None:
+    def set_camera(self, camera: Camera) -> None:
         view = camera.world_to_camera.copy()
         view[:3, 3] += view[:3, :3] @ self._origin
         lens = [[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]]

@@ -92,7 +92,7 @@ def _scene(path: Path, budget: int, out: Path, quick: bool) -> Iterator[Event]:
         began = time.monotonic()
         while (since := time.monotonic() - began) < flight:
             camera = course.at(since)
-            pauses.append(watched.look(camera))
+            pauses.append(watched.render(camera))
             if len(sights) - 1 < SIGHTS and since > len(sights) / (SIGHTS + 1) * flight:
                 sights.append(Sight(camera, watched.picture, "in flight"))
         yield Measurement.of(
@@ -187,7 +187,7 @@ class Watched(Programs):
         self._revision = -1
         return self
 
-    def look(self, camera: Camera) -> float:
+    def render(self, camera: Camera) -> float:
         """Has a camera's picture drawn; returns how long that took [s]."""
         began = time.monotonic()
         answer = self._ask(camera)
@@ -206,7 +206,7 @@ class Watched(Programs):
         while (now := time.monotonic()) - changed < SETTLED or not self._at_rest():
             if now - began > PATIENCE:
                 raise RuntimeError(f"not at rest after {PATIENCE:.0f} s")
-            self.still.append(self.look(camera))
+            self.still.append(self.render(camera))
             if self._revision != revision:
                 revision, changed, done = self._revision, time.monotonic(), self._work()
                 self.still.clear()

@@ -45,7 +45,7 @@ def measure(count: int) -> Iterator[Event]:
     splats = scenes.load(name)
     view = embedded.NumberedView(renderer)
     cameras = scenes.overview(splats, *scenes.PICTURES[0], 360)
-    view.look(cameras[0])
+    view.set_camera(cameras[0])
     view.draw()
     finish()
 
@@ -57,7 +57,7 @@ def measure(count: int) -> Iterator[Event]:
     while not whole and perf_counter() - start < TIMEOUT:
         if not sent:
             sent = not publisher.is_alive()
-            view.look(cameras[len(frames) % len(cameras)])
+            view.set_camera(cameras[len(frames) % len(cameras)])
         began = perf_counter()
         report = view.draw()
         finish()

@@ -190,17 +190,17 @@ class Stage:
         if way.by in RENDERERS:
             if way.by not in self._renderers:
                 self._renderers[way.by] = RENDERERS[way.by]()
-                self._renderers[way.by].show(self._maps[way.map])
+                self._renderers[way.by].set_map(self._maps[way.map])
             return self._renderers[way.by]
         if way.by == OURS and not self._display.accelerated:
             if way.map not in self._renderers:
                 self._renderers[way.map] = CpuRenderer()
-                self._renderers[way.map].show(self._maps[way.map])
+                self._renderers[way.map].set_map(self._maps[way.map])
             renderer = self._renderers[way.map]
         else:
             renderer = self._display
             if self._on_display != way.map:
-                renderer.show(self._maps[way.map])
+                renderer.set_map(self._maps[way.map])
                 self._on_display = way.map
         if "detail" in way.settings:
             renderer.merge()
@@ -213,12 +213,12 @@ class Stage:
             renderer.use(dict(way.settings))
             if "detail" in way.settings:
                 renderer.use({**way.settings, "detail": self._detail(renderer, way, number)})
-        renderer.look(camera)
+        renderer.set_camera(camera)
         if not way.order:
             return milliseconds(renderer.draw)
         began = perf_counter()
         order = way.order(self._sorter, camera)
-        renderer.give(order)
+        renderer.set_order(order)
         renderer.draw()
         took = 1e3 * (perf_counter() - began)
         if renderer.report["order_source"] != "bench":
@@ -238,7 +238,7 @@ class Stage:
             return detail
         key = (way.setting, number)
         if key not in self._details:
-            renderer.look(self._cameras[number])
+            renderer.set_camera(self._cameras[number])
             before = -1.0
             for _ in range(MOST_SETTLING):
                 renderer.draw()

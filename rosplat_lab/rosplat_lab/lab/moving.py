@@ -34,7 +34,7 @@ AT_REST = 0.5  # levels of detail that haven't changed for so long are complete 
 
 def _shown(renderer: Renderer, view: embedded.NumberedView, camera: Camera) -> NDArray[np.float64]:
     renderer.settings.interactive = False
-    view.look(camera)
+    view.set_camera(camera)
     view.draw()
     picture: NDArray[np.float64] = renderer.read_color8() / 255
     return picture
@@ -62,7 +62,7 @@ def in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Even
         while (now := time.monotonic() - began) < seconds or len(frames) < LEAST_FRAMES:
             turned = SPEED * now % (2 * SWEEP)
             camera = cameras[int(min(turned, 2 * SWEEP - turned) / STEP)]
-            view.look(camera)
+            view.set_camera(camera)
             report = view.draw()
             frames.append((camera, renderer.read_color8() / 255, report))
             time.sleep(max(0.0, INTERVAL - (time.monotonic() - began - now)))
@@ -83,7 +83,7 @@ def in_motion(name: str, quick: bool, motion: str, detail: str) -> Iterator[Even
 
 def _rest(view: embedded.NumberedView, camera: Camera) -> None:
     """Draws until nothing changes any more: the exact picture, and levels if there are any."""
-    view.look(camera)
+    view.set_camera(camera)
     since, levels = time.monotonic(), -1
     while time.monotonic() - since < AT_REST:
         report = view.draw()

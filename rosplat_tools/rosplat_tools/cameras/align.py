@@ -127,7 +127,9 @@ class AlignNode(Node):
     def _refined(self, taken: Taken[Straightened]) -> Refined:
         camera, near, far = taken.optics.camera, self._pictures.near, self._pictures.far
         world_to_camera = camera.world_to_camera @ taken.world_to_lens
-        self._map.look("", [replace(camera, world_to_camera=world_to_camera, near=near, far=far)])
+        self._map.publish_cameras(
+            "", [replace(camera, world_to_camera=world_to_camera, near=near, far=far)]
+        )
         return _converged(
             refined(self._map.renderer, taken, taken.optics, near, far, self._patience)
         )

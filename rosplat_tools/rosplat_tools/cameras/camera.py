@@ -210,7 +210,7 @@ class _Camera:
             return None
         depth, shot = self._shot.depth if listened[1] else "", self._shot
         world_to_lens = np.linalg.inv(pose).astype(np.float64)
-        self._map.look(self._name, warp.cameras(world_to_lens, shot.near, shot.far))
+        self._map.publish_cameras(self._name, warp.cameras(world_to_lens, shot.near, shot.far))
         try:
             return take_picture(
                 self._map.renderer, warp, world_to_lens,

@@ -66,7 +66,7 @@ class Compare(Node):
     def _compare(self, taken: Taken[_Optics]) -> None:
         began = time.perf_counter()
         near, far = self._pictures.near, self._pictures.far
-        self._map.look("", taken.optics.warp.cameras(taken.world_to_lens, near, far))
+        self._map.publish_cameras("", taken.optics.warp.cameras(taken.world_to_lens, near, far))
         found = compare(self._map.renderer, taken, taken.optics.warp, near, far)
         if taken.optics.straightened:
             self._align(taken, taken.optics.straightened, found.figures)

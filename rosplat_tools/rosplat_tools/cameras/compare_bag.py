@@ -117,7 +117,7 @@ class Bag:
             self._frame = message.header.frame_id
         elif self._tf:
             for transform in message.transforms:
-                self._tf.take(transform, topic == TF_STATIC)
+                self._tf.add(transform, topic == TF_STATIC)
         else:
             try:
                 self._poses.add(nanoseconds(message.header.stamp), to_matrix(to_pose(message.pose)))

@@ -35,7 +35,7 @@ class DrawnMap(MapSubscriber):
         while self._node.context.ok():
             self.came.wait(POLL)
             self.came.clear()
-            self.take()
+            self.apply_waiting()
             yield
 
     @property
@@ -43,7 +43,7 @@ class DrawnMap(MapSubscriber):
         """The map's frame."""
         return self.header.frame_id
 
-    def look(self, name: str, cameras: Sequence[Camera]) -> None:
+    def publish_cameras(self, name: str, cameras: Sequence[Camera]) -> None:
         """Tells a publisher that streams its map of the cameras that take a picture.
 
         name: tells several pictures of a node apart.

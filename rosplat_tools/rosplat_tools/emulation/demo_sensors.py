@@ -130,7 +130,7 @@ class DemoSensors(Node):
 
     def _lay(self) -> None:
         """Lays the path anew around a map that was sent, once all of it has come."""
-        self._map.take()
+        self._map.apply_waiting()
         if self._is_new and not self._map.problem() and len(sample := self._map.books.sample):
             self._is_new = False
             self._frame_id = self._map.header.frame_id

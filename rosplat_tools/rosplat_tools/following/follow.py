@@ -77,7 +77,7 @@ class Follow(Node):
 
         def hear(message: Any) -> None:
             try:
-                if reader.take(message):
+                if reader.add(message):
                     self._heard[name] = reader
             except InputError as error:
                 self._refuse(error)

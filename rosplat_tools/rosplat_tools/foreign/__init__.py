@@ -31,7 +31,7 @@ class MapReader(ABC):
         self._splats: Splats
 
     @abstractmethod
-    def take(self, message: Any) -> bool:
+    def add(self, message: Any) -> bool:
         """Keeps what a message says. Whether there is a map to be shown now."""
 
     def splats(self) -> Splats:

@@ -19,7 +19,7 @@ class Chunks:
         self._name = name
         self._coming: dict[Hashable, dict[int, bytes]] = {}
 
-    def take(self, key: Hashable, message: Any, most: int = MOST) -> bytes | None:
+    def add(self, key: Hashable, message: Any, most: int = MOST) -> bytes | None:
         """The payload of `key` once all of its chunks are there. Raises InputError."""
         index, count = message.chunk_index, message.chunk_count
         if index >= count:

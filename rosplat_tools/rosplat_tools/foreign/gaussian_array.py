@@ -33,7 +33,7 @@ class Reader(MapReader):
         super().__init__(name, warn)
         self._parts: list[Splats] = []
 
-    def take(self, message: Any) -> bool:
+    def add(self, message: Any) -> bool:
         """Raises InputError for an array that contradicts itself; nothing of it is added."""
         part = _splats(message, self._name, self._warn)
         if getattr(message, "refresh", False):  # older definitions lack it

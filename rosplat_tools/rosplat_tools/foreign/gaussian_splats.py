@@ -27,7 +27,7 @@ DEPTH = 1
 class Reader(MapReader):
     """The map of the last message."""
 
-    def take(self, message: Any) -> bool:
+    def add(self, message: Any) -> bool:
         """Raises InputError for a message that contradicts itself."""
         self._splats = self._read(message)
         self.frame_id = plain_frame(message.header.frame_id)

@@ -56,7 +56,7 @@ _SAME = {
 class Reader(MapReader):
     """The map of the last cloud."""
 
-    def take(self, message: PointCloud2) -> bool:
+    def add(self, message: PointCloud2) -> bool:
         """Raises InputError for a cloud without the fields, or one that contradicts itself."""
         rows = _rows(message, self._name)
         path, into = Path(self._name), IntoSplats()

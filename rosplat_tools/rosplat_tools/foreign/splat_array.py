@@ -27,7 +27,7 @@ DEPTH = 1
 class Reader(MapReader):
     """The map of the last array."""
 
-    def take(self, message: Any) -> bool:
+    def add(self, message: Any) -> bool:
         """Raises InputError for an array that contradicts itself."""
         self._splats = _splats(message, self._name, self._warn)
         if message.splats:

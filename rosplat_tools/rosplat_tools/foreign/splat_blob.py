@@ -38,9 +38,9 @@ class Reader(MapReader):
         super().__init__(name, warn)
         self._chunks = Chunks(name)
 
-    def take(self, message: Any) -> bool:
+    def add(self, message: Any) -> bool:
         """Raises InputError for a chunk that contradicts itself, and for a file that is no map."""
-        payload = self._chunks.take((message.session_id, message.version), message)
+        payload = self._chunks.add((message.session_id, message.version), message)
         if payload is None:
             return False
         turn, shift = message.map_from_source.rotation, message.map_from_source.translation

@@ -41,7 +41,7 @@ class Reader(MapReader):
         self._waiting: dict[tuple[str, int], list[tuple[_Key | None, Splats | None]]] = {}
         self._chunks = Chunks(name)
 
-    def take(self, message: Any) -> bool:
+    def add(self, message: Any) -> bool:
         """Raises InputError for a chunk that contradicts itself, and for a COMMIT of which parts
         are missing; the map stays.
         """
@@ -61,7 +61,7 @@ class Reader(MapReader):
                 raise InputError(
                     f"{self._name}: encoding: {shown(repr(message.encoding))}, known is {rows.NAME}"
                 )
-            payload = self._chunks.take((version, tile), message, MOST_TILES)
+            payload = self._chunks.add((version, tile), message, MOST_TILES)
             if payload is not None:
                 self._wait(version, tile, rows.decode(payload, self._name, self._warn))
         else:

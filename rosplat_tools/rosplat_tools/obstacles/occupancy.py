@@ -155,7 +155,7 @@ class Occupancy(Node):
             self._came.wait(min(POLL, max(due - time.monotonic(), 0.0)))
             self._came.clear()
             with self._lock:
-                self._map.take()
+                self._map.apply_waiting()
                 if (now := time.monotonic()) >= due:
                     due = now + self._period
                     self._publish()
@@ -284,7 +284,7 @@ class Occupancy(Node):
 
     def _on_save(self, request: SaveMap.Request, response: SaveMap.Response) -> SaveMap.Response:
         with self._lock:
-            self._map.take()
+            self._map.apply_waiting()
             return self._save(request, response)
 
     def _save(self, request: SaveMap.Request, response: SaveMap.Response) -> SaveMap.Response:

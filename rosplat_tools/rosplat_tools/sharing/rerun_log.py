@@ -27,7 +27,7 @@ class RerunLog:
         if address:
             rerun.connect_grpc(address)
 
-    def show(self, splats: Splats, header: Header) -> None:
+    def log(self, splats: Splats, header: Header) -> None:
         """Logs a map under its frame's name."""
         stamp = header.stamp.sec + 1e-9 * header.stamp.nanosec
         self._rerun.set_time("ros_time", timestamp=stamp)

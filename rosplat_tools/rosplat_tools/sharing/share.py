@@ -65,7 +65,7 @@ class Share(Node):
         while self.context.ok():
             self._came.wait(0.1)
             self._came.clear()
-            self._map.take()
+            self._map.apply_waiting()
             if self._map.edits != shared and not self._map.problem():
                 shared = self._map.edits
                 self._publish()
@@ -80,7 +80,7 @@ class Share(Node):
         _, splats = self._renderer.snapshot()
         header: Header = self._map.header
         if self._publisher is None:
-            self._log.show(splats, header)
+            self._log.log(splats, header)
             where = RERUN
         else:
             messages: Any = self._kind.messages(self._message, splats, header)

@@ -134,7 +134,7 @@ class Simulate(Node):
         due = time.monotonic()
         while self.context.ok():
             with self._lock:
-                self._map.take()
+                self._map.apply_waiting()
                 passes = self._stands() and (not self._paused or self._steps > 0)
                 if passes:
                     self._tick()

@@ -22,7 +22,7 @@ class FollowedView:
         self._speed = np.zeros(3)
         self._moves_until = now
 
-    def look(self, camera: PosedCamera, now: float) -> None:
+    def move_to(self, camera: PosedCamera, now: float) -> None:
         """Takes the next camera."""
         since = now - self.heard
         if 0 < since < RECENT:

@@ -40,7 +40,7 @@ class SlotAllocator:
         """Number of slots that are given out, with the unused slots of their strips."""
         return self._slots
 
-    def take(self, count: int) -> NDArray[np.uint32]:
+    def allocate(self, count: int) -> NDArray[np.uint32]:
         """(count,) slots in strips of their own. Raises MemoryError, and then takes none."""
         pages, rest = divmod(slots_for(count) // SLOTS_PER_STRIP, STRIPS_PER_PAGE)
         shared = rest > len(self._free_strips)  # whether one more page is shared from now on

@@ -108,7 +108,7 @@ class StreamPublisher(Node):
             return
         now = time.monotonic()
         view = self._views.pop(message.view_id, None) or FollowedView(camera, now)
-        view.look(camera, now)
+        view.move_to(camera, now)
         self._views[message.view_id] = view
         while len(self._views) > MAX_VIEWS:
             self._views.pop(next(iter(self._views)), None)

@@ -202,7 +202,7 @@ class StreamedMap:
         for chunk, part in parts.items():
             self._held[chunk] = None
             if part:
-                slots = self._slots.take(part.count)
+                slots = self._slots.allocate(part.count)
                 self._held[chunk] = _Held(part, slots, len(ready[chunk]))
         if ready:
             now = [held.slots[: held.splats] for chunk in ready if (held := self._held[chunk])]

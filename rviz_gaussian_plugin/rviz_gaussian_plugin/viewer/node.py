@@ -154,7 +154,7 @@ class Viewer(Node):
         try:
             self._take(message, arrival)
         except MemoryError:
-            self._map.lose()  # which pulls the map again
+            self._map.pull_again()  # which pulls the map again
             self.get_logger().error(
                 f"{self._map.topic}: there is no memory for a batch", throttle_duration_sec=5.0
             )
@@ -246,7 +246,7 @@ class Viewer(Node):
         """Centre and radius of the map. [m]"""
         return bounds(self.renderer.sample)
 
-    def look(self, camera: ViewCamera, name: str) -> str:
+    def set_camera(self, camera: ViewCamera, name: str) -> str:
         """Poses the camera of a view and asks for its order, if wanted; returns the view's id."""
         view_id = f"{self._instance}/{name}"
         self._sequence += 1
@@ -287,7 +287,7 @@ class Viewer(Node):
 
         If no sorter's order is wanted, the renderer sorts at once. Returns its report.
         """
-        view_id = self.look(camera, name)
+        view_id = self.set_camera(camera, name)
         deadline = time.monotonic() + order_timeout
         answered = False
         while (
@@ -304,7 +304,7 @@ class Viewer(Node):
                     break
             # A view or an order may be lost while viewer and sorter get to know each other.
             if time.monotonic() - self._published > ASK_AGAIN:
-                self.look(camera, name)
+                self.set_camera(camera, name)
             time.sleep(0.001)
         report: dict[str, Any] = self.renderer.draw(view_id, sort_now=not answered)
         if answered and not report["order_fresh"]:  # the map has changed since the order

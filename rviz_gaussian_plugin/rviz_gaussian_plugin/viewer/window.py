@@ -157,7 +157,7 @@ class _Window:
         moved = state != self._shown
         if moved:
             self._camera = view_camera(orbit.camera(width, height))
-            self._view_id = viewer.look(self._camera, "window")
+            self._view_id = viewer.set_camera(self._camera, "window")
             self._shown = state
         report = viewer.draw_frame(self._view_id, self._camera)
         self.figures = described(viewer.renderer.splats, report)

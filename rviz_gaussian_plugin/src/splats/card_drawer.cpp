@@ -49,7 +49,7 @@ void CardDrawer::settle() {
   map_ = std::move(next_map_);
 }
 
-void CardDrawer::hold(const GaussianEdit& page) {
+void CardDrawer::load(const GaussianEdit& page) {
   card_->apply(std::make_shared<const GaussianEdit>(page), renderer_->clock());
 }
 

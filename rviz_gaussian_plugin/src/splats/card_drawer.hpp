@@ -52,8 +52,8 @@ class CardDrawer : public Drawer {
   DrawnBytes bytes() const override;
 
  private:
-  void hold(const GaussianEdit& page) override;
-  void hold(const MapState& map) override { map_ = map; }
+  void load(const GaussianEdit& page) override;
+  void load(const MapState& map) override { map_ = map; }
   void take(const EditQueue::Waiting& arrival);
   OrderPtr unsorted();
   // The picture with the maps as the card holds them.

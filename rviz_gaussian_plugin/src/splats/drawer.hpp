@@ -46,7 +46,7 @@ struct DrawnBytes {
 enum class DrawnBy { kCard, kProcessor };
 
 // Holds a map in the memory that it is drawn from, and draws it. A Drawer takes the map's edits
-// while it has their Taker. Another Drawer takes over with hold(). Render thread only.
+// while it has their Taker. Another Drawer takes over with copy(). Render thread only.
 class Drawer {
  public:
   using Picture = rosplat::Picture<Drawer*>;
@@ -55,10 +55,10 @@ class Drawer {
   virtual DrawnBy by() const = 0;
 
   // Copies all that another Drawer holds. Throws gl::Error or std::bad_alloc if memory is lacking.
-  void hold(Drawer& other) {
+  void copy(Drawer& other) {
     other.settle();
-    other.forEachPage([this](const GaussianEdit& page) { hold(page); });
-    hold(other.map());
+    other.forEachPage([this](const GaussianEdit& page) { load(page); });
+    load(other.map());
   }
   // Applies arrived edits: all of them, or as many as a frame has time for. Returns the map state
   // that an order must match to be drawn.
@@ -100,8 +100,8 @@ class Drawer {
   virtual DrawnBytes bytes() const = 0;
 
  private:
-  virtual void hold(const GaussianEdit& page) = 0;
-  virtual void hold(const MapState& map) = 0;
+  virtual void load(const GaussianEdit& page) = 0;
+  virtual void load(const MapState& map) = 0;
 };
 
 }  // namespace rosplat

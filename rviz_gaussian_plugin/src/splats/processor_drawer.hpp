@@ -49,8 +49,8 @@ class ProcessorDrawer : public Drawer {
   DrawnBytes bytes() const override;
 
  private:
-  void hold(const GaussianEdit& page) override { painted_->hold(page, painter().clock()); }
-  void hold(const MapState& map) override { painted_->hold(map); }
+  void load(const GaussianEdit& page) override { painted_->load(page, painter().clock()); }
+  void load(const MapState& map) override { painted_->load(map); }
   Painter& painter() const { return renderer_->painter(); }
   MapState reachable() const;
   // The picture with the maps as the painter holds them.

@@ -44,7 +44,7 @@ bool keepBudgets(Frame& frame, const std::vector<std::size_t>& drawn, const Card
   for (std::size_t i = 0; i < frame.layers.size(); ++i) {
     FrameLayer& layer = frame.layers[i];
     const Layer<std::shared_ptr<CardMap>>& of = picture.layers[i];
-    const auto next = of.map->drew(of.view_id, layer.cuts() ? layer.error : 0, drawn[i]);
+    const auto next = of.map->adjustDetail(of.view_id, layer.cuts() ? layer.error : 0, drawn[i]);
     layer.error = next.value_or(layer.error);
     any = any || next;
   }

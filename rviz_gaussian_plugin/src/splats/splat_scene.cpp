@@ -46,12 +46,12 @@ std::size_t SplatScene::mostSlots(const std::string& map_id, std::uint64_t revis
 }
 
 MapState SplatScene::state() const {
-  return map_.look([](const MapState& state, const auto&...) { return state; });
+  return map_.inspect([](const MapState& state, const auto&...) { return state; });
 }
 
 std::vector<std::string> SplatScene::hardRegimes(const RenderSettings& settings,
                                                  const std::vector<SplatCamera>& cameras) const {
-  return map_.look([&](const MapState& state, const MapSample& sample, const Groups& groups) {
+  return map_.inspect([&](const MapState& state, const MapSample& sample, const Groups& groups) {
     return rosplat::hardRegimes(state, sample, groups, settings, cameras);
   });
 }
@@ -88,7 +88,7 @@ void SplatScene::exchange(DrawnBy by) {
   const Arrivals::Taker taker = arrivals_->makeTaker();
   std::unique_ptr<Drawer> next = renderers_->makeDrawer(by, taker);
   arrivals_->handOver(taker, [&] {
-    if (drawer_) next->hold(*drawer_);
+    if (drawer_) next->copy(*drawer_);
   });
   drawer_.swap(next);
   for (const auto& [view_id, camera] : cameras_) {

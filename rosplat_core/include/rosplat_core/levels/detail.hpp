@@ -29,7 +29,7 @@ class DetailControl {
   double choose(const RenderSettings& settings);
   // Tells how many splats and nodes are in the picture. Returns the error [px] to draw it again
   // with, if it missed a budget that must hold at once.
-  std::optional<double> drew(double error, std::size_t drawn);
+  std::optional<double> adjust(double error, std::size_t drawn);
   // Why the last picture doesn't keep the budget: there may be more of the coarsest nodes than it
   // allows. Empty if it does.
   const std::string& problem() const { return problem_; }

@@ -57,7 +57,7 @@ class LevelBuilder {
   void expectMore(bool more);
   // Returns what has changed since the last call; null if nothing has. wait: waits first until the
   // nodes hold all that was applied, or can't be built.
-  std::unique_ptr<LevelsUpdate> take(bool wait);
+  std::unique_ptr<LevelsUpdate> update(bool wait);
   // Why no more updates come; empty if nothing is wrong.
   std::string error() const;
   std::size_t bytes() const;  // with the edits that wait
@@ -74,8 +74,8 @@ class LevelBuilder {
   void run();
   void build();
   void takeWaiting();
-  void take(const GaussianEdit& edit, double now, std::uint64_t number);
-  void take(Run run);
+  void insert(const GaussianEdit& edit, double now, std::uint64_t number);
+  void insert(Run run);
   bool isInterrupted(bool had_time) const;
   void handOver(const std::vector<std::uint32_t>& changed);
 

@@ -128,26 +128,26 @@ SplatValues valuesOf(std::uint32_t slot, const Group& group, const std::uint32_t
 
 // Keeps the books of a map: its slots in use, their groups, the poses of groups, the revision, and
 // what is missing. Knows no GPU, and holds only a sample of the splats. Any thread may apply
-// batches, which are applied one after the other. look() doesn't wait for a batch to be checked and
-// packed.
+// batches, which are applied one after the other. inspect() doesn't wait for a batch to be checked
+// and packed.
 class GaussianMap {
  public:
   // Takes an edit and the state after it, before the map changes. Calls come one after the other.
-  using Keep = std::function<void(const std::shared_ptr<const GaussianEdit>&, const MapState&)>;
+  using OnEdit = std::function<void(const std::shared_ptr<const GaussianEdit>&, const MapState&)>;
 
   // most_sh_degree: the highest band in edits; higher ones are checked and left out.
   explicit GaussianMap(int most_sh_degree = kMaxShDegree) : most_sh_degree_(most_sh_degree) {}
 
-  // Checks a batch and turns it into an edit. Throws BatchError, or what `keep` throws, or
+  // Checks a batch and turns it into an edit. Throws BatchError, or what `on_edit` throws, or
   // std::bad_alloc: then the map is unchanged, and the next batch misses this one.
   std::shared_ptr<const GaussianEdit> apply(const GaussianBatch& batch, BatchReport& report,
-                                            const Keep& keep = nullptr);
+                                            const OnEdit& on_edit = nullptr);
 
-  // Any thread: returns look(state, sample, groups) of the map between two batches.
-  template <typename Look>
-  auto look(const Look& look) const {
+  // Any thread: returns inspect(state, sample, groups) of the map between two batches.
+  template <typename Inspect>
+  auto inspect(const Inspect& inspect) const {
     const std::lock_guard lock(locks_.exchanging);
-    return look(state_, sample_, groups_);
+    return inspect(state_, sample_, groups_);
   }
   // Any thread: positions of the sample's splats in the map's frame. [m]
   std::vector<std::array<double, 3>> samplePositions() const;

@@ -87,7 +87,7 @@ class MapPull {
   };
 
   // Takes a batch from the topic. served: whether a server is known.
-  Step hear(Labelled heard, double now, bool served) {
+  Step receive(Labelled heard, double now, bool served) {
     Step step;
     const Label& label = heard.label;
     if (label.revision == 0) {  // will be refused
@@ -119,7 +119,7 @@ class MapPull {
 
   // The caller had no memory for a batch that it was to apply, and applied none after it: all of
   // the map is pulled, after a while.
-  void lose(double now) {
+  void restart(double now) {
     stop();
     exact_ = false;
     base_ = 0;

@@ -20,8 +20,8 @@ class MapSample {
  public:
   static constexpr std::size_t kMost = 4096;
 
-  void keep(std::uint32_t slot, const SampledSplat& splat) noexcept;
-  void drop(std::uint32_t slot) noexcept { keep(slot, {}); }
+  void set(std::uint32_t slot, const SampledSplat& splat) noexcept;
+  void drop(std::uint32_t slot) noexcept { set(slot, {}); }
 
   // Slots that aren't empty.
   std::vector<SampledSplat> splats() const;

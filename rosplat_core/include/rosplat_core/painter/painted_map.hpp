@@ -34,8 +34,8 @@ class PaintedMap {
   // For any thread, down to slots(). now: the clock of `change` in packed_slot.hpp.
 
   // Takes a map over from another drawer: first page by page, then its state.
-  void hold(const GaussianEdit& page, double now);
-  void hold(const MapState& map);
+  void load(const GaussianEdit& page, double now);
+  void load(const MapState& map);
   // Calls take() with edits that rebuild the map elsewhere: the group poses, then page by page.
   void forEachPage(const std::function<void(const GaussianEdit&)>& take) const;
   std::vector<SplatValues> read(const std::vector<std::uint32_t>& slots) const;
@@ -61,8 +61,8 @@ class PaintedMap {
                       PictureLayer& layer);
   // Tells what the view's picture drew, and how long that took [s]. Returns the error [px] to
   // redraw with if the picture missed a budget that must hold at once.
-  std::optional<double> drew(const std::string& view_id, const PictureLayer& layer,
-                             const SplatPicture::OfLayer& drawn, double seconds);
+  std::optional<double> adjustDetail(const std::string& view_id, const PictureLayer& layer,
+                                     const SplatPicture::OfLayer& drawn, double seconds);
   // Why the view's last picture isn't in the detail that was asked for; empty if it is.
   std::string detailProblem(const std::string& view_id) const;
   // Drops what is known of the views that keep() denies; without any view left, drops the levels.

@@ -68,7 +68,7 @@ class Bits {
  public:
   Bits() = default;
   explicit Bits(const std::uint8_t* bytes) { std::memcpy(words_, bytes, sizeof(words_)); }
-  std::uint32_t take(unsigned count) {
+  std::uint32_t read(unsigned count) {
     const unsigned word = at_ / 64, shift = at_ % 64;
     std::uint64_t bits = words_[word] >> shift;
     if (shift + count > 64) bits |= words_[word + 1] << (64 - shift);
@@ -286,20 +286,20 @@ inline void decode(const std::uint8_t* payload, const SplatArrays<float>& splats
     Bits bits(packed + kSplatBytes * i);
     for (int k = 0; k < 3; ++k) {
       splats.positions[3 * i + k] =
-          static_cast<float>(positions[k].value(bits.take(kPositionBits)));
+          static_cast<float>(positions[k].value(bits.read(kPositionBits)));
     }
-    for (int k = 0; k < 3; ++k) splats.scales[3 * i + k] = scales[bits.take(kScaleBits)];
+    for (int k = 0; k < 3; ++k) splats.scales[3 * i + k] = scales[bits.read(kScaleBits)];
     float* const q = splats.orientations + 4 * i;
-    const std::uint32_t left_out = bits.take(2);
+    const std::uint32_t left_out = bits.read(2);
     double squares = 0;
     for (unsigned k = 1; k <= 3; ++k) {
-      const double value = component.value(bits.take(kRotationBits));
+      const double value = component.value(bits.read(kRotationBits));
       squares += value * value;
       q[(left_out + k) % 4] = static_cast<float>(value);
     }
     q[left_out] = static_cast<float>(std::sqrt(std::max(0.0, 1 - squares)));
-    splats.opacities[i] = static_cast<float>(opacity.value(bits.take(kOpacityBits)));
-    for (int k = 0; k < 3; ++k) splats.sh[stride * i + k] = colours[bits.take(kColourBits)];
+    splats.opacities[i] = static_cast<float>(opacity.value(bits.read(kOpacityBits)));
+    for (int k = 0; k < 3; ++k) splats.sh[stride * i + k] = colours[bits.read(kColourBits)];
   }
   const std::size_t rest = restOf(splats.sh_degree);
   if (rest == 0) return;

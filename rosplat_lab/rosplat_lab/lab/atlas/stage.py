@@ -49,14 +49,14 @@ class Stage:
             renderer = self.display
             whose = "AUTO" if order is None else "SIDECAR"
             settings = {"rasterizer": "TILES", "order": whose} | settings
-        renderer.show(splats)
+        renderer.set_map(splats)
         renderer.use(settings)
         if "detail" in settings:
             renderer.merge()
             renderer.use(settings)
-        renderer.look(camera)
+        renderer.set_camera(camera)
         if order is not None:
-            self.display.give(order)
+            self.display.set_order(order)
         renderer.draw()
         return renderer.picture()
 

@@ -83,7 +83,7 @@ void CardLevels::advance(SlotStore& store, double now, bool all) {
   std::size_t budget = all ? kEverything : kBytesPerFrame;
   do {
     if (!update_) {
-      update_ = builder_.take(all);
+      update_ = builder_.update(all);
       if (update_ && update_->edits < cleared_) update_.reset();
       if (!update_) return;
       nodes_.replace(update_->groups, store.shDegree());

@@ -89,10 +89,11 @@ void CardMap::expect(DetailControl& control, const RenderSettings& settings,
   control.expect({levels_->samples(), camera, pages().groups(), settings});
 }
 
-std::optional<double> CardMap::drew(const std::string& view_id, double error, std::size_t drawn) {
+std::optional<double> CardMap::adjustDetail(const std::string& view_id, double error,
+                                            std::size_t drawn) {
   const auto found = views_.find(view_id);
   if (found == views_.end() || !found->second.chooses) return {};
-  return found->second.control.drew(error, drawn);
+  return found->second.control.adjust(error, drawn);
 }
 
 std::string CardMap::detailProblem(const std::string& view_id) const {

@@ -55,7 +55,7 @@ class CardMap {
                     const SplatCamera& camera);
   // Tells how many splats and nodes the view drew. Returns the error [px] to redraw with if that
   // missed a budget that must hold at once.
-  std::optional<double> drew(const std::string& view_id, double error, std::size_t drawn);
+  std::optional<double> adjustDetail(const std::string& view_id, double error, std::size_t drawn);
   // Why a picture with levels isn't in the detail that was asked for; empty where it is.
   std::string detailProblem(const std::string& view_id) const;
   void forget(const std::string& view_id);
