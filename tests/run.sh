@@ -1,11 +1,8 @@
 #!/usr/bin/env bash
-# C++ tests, then the Python tests of the packages and across them.
+# The C++ tests, beside them the Python tests of the packages, and those across them.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-$((RANDOM % 100 + 1))} # not into somebody's robot
-for package in rosplat_core rosplat_ros rviz_gaussian_plugin; do
-  ctest --test-dir ".ros/$ROSPLAT_ROS/build/$package" --parallel "$(nproc)" --output-on-failure -R '^test_.*' -L gtest
-done
 rviz=$(command -v rviz2 || true)
 if [ -z "$rviz" ]; then
   printf '\n\033[1;33mSKIPPED: no rviz2 here, the rviz Display was neither built nor tested.\033[0m\n\n'
@@ -22,6 +19,13 @@ if ! python -c 'import pxr' 2>/dev/null; then
 fi
 # From a folder where no package's sources hide the installed ones.
 cd tests
+cpp_tests() {
+  local failed=0 package
+  for package in rosplat_core rosplat_ros rviz_gaussian_plugin; do
+    ctest --test-dir "../.ros/$ROSPLAT_ROS/build/$package" --output-on-failure -R '^test_.*' -L gtest || failed=1
+  done
+  return $failed
+}
 package_tests() { # one run for each
   local failed=0 package
   for package in "$@"; do
@@ -51,6 +55,7 @@ beside() {
   set +m
   runs+=($!)
 }
+beside cpp_tests
 beside package_tests rviz_gaussian_plugin rosplat_lab rosplat_core rosplat_ros rosplat_sorter rosplat_tools
 if [ -n "$rviz" ]; then beside cross_tests -m rviz "$@"; fi
 failed=0
