@@ -3,6 +3,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-$((RANDOM % 100 + 1))} # not into somebody's robot
+export OMP_NUM_THREADS=${OMP_NUM_THREADS:-1} # torch's and NumPy's idle threads spin, and the others wait
 rviz=$(command -v rviz2 || true)
 if [ -z "$rviz" ]; then
   printf '\n\033[1;33mSKIPPED: no rviz2 here, the rviz Display was neither built nor tested.\033[0m\n\n'
