@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from rosplat_core import first_look
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.first_look import FirstView, first_view, views_within
 from rosplat_core.generated import generate
@@ -62,6 +63,12 @@ def row_of(scene: Splats, count: int, step: tuple[float, float, float]) -> Splat
     poses = np.tile(np.eye(4), (count, 1, 1))
     poses[:, :3, 3] = np.arange(count)[:, None] * step
     return concatenate([scene.moved(pose) for pose in poses])
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The views of a loaded machine are those of a quiet one."""
+    monkeypatch.setattr(first_look, "PATIENCE", np.inf)
 
 
 @pytest.fixture(scope="module")
