@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 
 from rosplat_core import formats
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
-from rosplat_ros.program.parameter_help import declared_by
+from rosplat_ros.program import parameter_help
 from rosplat_testing.messages import as_held
 from rosplat_tools.emulation import slam_emulator
 
@@ -91,5 +92,11 @@ def test_it_sends_payloads_if_it_is_to(start: Start, listener: Any) -> None:
 
 
 def test_help_loads_no_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parameter_help, "asked", True)
     monkeypatch.setattr(slam_emulator, "load_scene", lambda *_: pytest.fail("loaded"))
-    assert "compression" in declared_by(slam_emulator.SlamEmulator)
+    rclpy.init()
+    try:
+        with pytest.raises(parameter_help._Stop):
+            slam_emulator.SlamEmulator()
+    finally:
+        rclpy.shutdown()
