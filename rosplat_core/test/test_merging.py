@@ -12,6 +12,9 @@ from rosplat_core.quaternions import to_matrices
 from rosplat_core.simplification.merging import (
     MOST,
     Contributions,
+    _Field,
+    _neighbours,
+    _pairs_of,
     areas,
     combine,
     find_pairs,
@@ -93,6 +96,26 @@ def test_pairs_are_disjoint_and_the_most_alike_come_first(random_splats: Make) -
     assert {*zip(pairs.first[:20], pairs.second[:20], strict=True)} == {
         (i, 200 + i) for i in range(20)
     }
+
+
+def test_pairs_are_those_that_taking_the_cheapest_of_all_one_by_one_finds(
+    random_splats: Make,
+) -> None:
+    count = 300
+    splats = random_splats(count)
+    splats.positions[:] *= 0.05
+    found = seen(np.random.default_rng(2).uniform(0.01, 9, count))
+    field = _Field.of(splats, found, PIXEL)
+    low, high = _pairs_of(_neighbours(splats.positions), slice(0, count))
+    first, second = np.append(low, np.arange(count)), np.append(high, np.arange(count))
+    costs = np.append(field.cost(low, high), field.errors)
+    expected: list[tuple[int, int]] = []
+    for i in np.argsort(costs, kind="stable"):
+        if not {first[i], second[i]} & {*np.ravel(expected)}:
+            expected.append((first[i], second[i]))
+    pairs = find_pairs(splats, found, PIXEL)
+    assert [*zip(pairs.first, pairs.second, strict=True)] == expected[: int(MOST * count)]
+    assert (pairs.first == pairs.second).any() and (pairs.first != pairs.second).any()
 
 
 def test_what_contributes_little_goes_first(random_splats: Make) -> None:

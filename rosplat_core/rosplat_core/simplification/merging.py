@@ -25,6 +25,7 @@ from rosplat_core.splats import LOW_PASS, Splats, concatenate
 
 Array = NDArray[np.floating[Any]]
 Indices = NDArray[np.intp]
+Numbers = NDArray[np.int32]  # of splats, where many are held
 
 NEIGHBOURS = 4  # that a splat may be merged with; 16 gain 0.3 dB
 MOST = 0.25  # share of the splats that go before neighbours are looked for again
@@ -39,11 +40,11 @@ LEAST = 1e-12  # lower bound of areas and weights that divide
 class Contributions:
     """What each splat contributes to pictures: (n,) sums over their pixels."""
 
-    weight: NDArray[np.float64]
+    weight: Array
     """Sums of alpha x transmittance: how many pixels' colour a splat makes up."""
-    energy: NDArray[np.float64]
+    energy: Array
     """Sums of the squares of alpha x transmittance."""
-    error: NDArray[np.float64]
+    error: Array
     """Sums of the squares by which red, green and blue change without the splat."""
 
     def __getitem__(self, index: slice | Indices | NDArray[np.bool_]) -> Contributions:
@@ -53,16 +54,20 @@ class Contributions:
     @classmethod
     def concatenate(cls, parts: list[Contributions]) -> Contributions:
         """Joins contributions, in order."""
-        none = np.zeros(0)
+        none = np.zeros(0, np.float32)
         return cls(
             np.concatenate([none, *(part.weight for part in parts)]),
             np.concatenate([none, *(part.energy for part in parts)]),
             np.concatenate([none, *(part.error for part in parts)]),
         )
 
-    def contrast(self) -> NDArray[np.float64]:
+    def times(self, factor: float) -> Contributions:
+        """The contributions of so many such views."""
+        return Contributions(factor * self.weight, factor * self.energy, factor * self.error)
+
+    def contrast(self) -> Array:
         """(n,) mean square by which a splat differs from what is behind it."""
-        contrast: NDArray[np.float64] = self.error / np.maximum(self.energy, LEAST * LEAST)
+        contrast: Array = self.error / np.maximum(self.energy, LEAST * LEAST)
         return contrast
 
 
@@ -140,17 +145,13 @@ def find_pairs(
     if count < 2:
         none = np.zeros(0, np.intp)
         return Pairs(splats, contributions, none, none, np.zeros(0), pixel)
-    low, high = _neighbours(splats.positions)
-    progress(0.4)
-    field = _Field.of(splats, contributions, pixel)
-    progress(0.6)
-    costs = np.concatenate(in_chunks(len(low), lambda part: field.cost(low[part], high[part])))
+    most = max(1, int(MOST * count))
+    low, high, costs = _candidates(splats, contributions, pixel, most, progress)
     progress(0.8)
-    alone = np.arange(count)
-    low, high = np.concatenate([low, alone]), np.concatenate([high, alone])
-    costs = np.concatenate([costs, field.errors])
-    chosen = _disjoint(low, high, costs, count, max(1, int(MOST * count)))
-    return Pairs(splats, contributions, low[chosen], high[chosen], costs[chosen], pixel)
+    order = _ascending(costs)
+    chosen = order[_first_disjoint(low[order], high[order], count)[:most]]
+    first, second = low[chosen].astype(np.intp), high[chosen].astype(np.intp)
+    return Pairs(splats, contributions, first, second, costs[chosen], pixel)
 
 
 def merge(
@@ -195,28 +196,63 @@ def combine(
 
     fields = [_alone(_blurred(covariance, pixel)) for covariance in covariances]
     amplitude = np.sqrt(of_one.energy / fields[0]) + np.sqrt(of_other.energy / fields[1])
-    energy: NDArray[np.float64] = amplitude**2 * fields[2]
+    energy: Array = amplitude**2 * fields[2]
     contrast = of_one.contrast() + share * (of_other.contrast() - of_one.contrast())
     return merged, Contributions(weight, energy, contrast * energy)
 
 
-def _neighbours(positions: NDArray[np.float32]) -> tuple[Indices, Indices]:
-    """Pairs of each splat and its nearest: the lower and the higher index, no pair twice."""
+def _candidates(
+    splats: Splats,
+    contributions: Contributions,
+    pixel: float,
+    most: int,
+    progress: Callable[[float], None],
+) -> tuple[Numbers, Numbers, Array]:
+    """Pairs, splats with themselves among them, and their costs: all of the cheapest `most`.
+
+    Leaves out what is dearer than to leave out any of the 2 * most splats that are missed least:
+    these, each left out or merged, are `most` pairs or more.
+    """
+    nearest = _neighbours(splats.positions)
+    progress(0.4)
+    field = _Field.of(splats, contributions, pixel)
+    progress(0.6)
+    dear = np.partition(field.errors, 2 * most - 1)[2 * most - 1]
+
+    def cheap(part: slice) -> tuple[Numbers, Numbers, Array]:
+        low, high = _pairs_of(nearest, part)
+        costs = field.cost(low, high)
+        kept = costs <= dear
+        return low[kept], high[kept], costs[kept]
+
+    found = in_chunks(len(splats), cheap)
+    alone = np.flatnonzero(field.errors <= dear).astype(np.int32)
+    found.append((alone, alone, field.errors[alone]))
+    low, high, costs = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    return low, high, costs
+
+
+def _neighbours(positions: NDArray[np.float32]) -> Numbers:
+    """(n, k) the nearest of each splat, itself among them."""
     count = len(positions)
     tree = cKDTree(positions, balanced_tree=False)
     most = min(NEIGHBOURS + 1, count)
-    found = in_chunks(count, lambda part: tree.query(positions[part], most)[1].astype(np.int32))
-    nearest = np.concatenate(found)
+    nearest = np.empty((count, most), np.int32)
 
-    def pairs(part: slice) -> NDArray[np.int32]:
-        one = np.arange(part.start, part.stop, dtype=np.int32)[:, None]
-        other = nearest[part]
-        mutual = (nearest[other] == one[..., None]).any(axis=2)
-        once = (one < other) | ((one > other) & ~mutual)
-        return np.stack([np.minimum(one, other)[once], np.maximum(one, other)[once]])
+    def find(part: slice) -> None:
+        nearest[part] = tree.query(positions[part], most)[1]
 
-    low, high = np.concatenate(in_chunks(count, pairs), axis=1).astype(np.intp)
-    return low, high
+    in_chunks(count, find)
+    return nearest
+
+
+def _pairs_of(nearest: Numbers, part: slice) -> tuple[Numbers, Numbers]:
+    """Pairs of each splat and its nearest: the lower and the higher index, no pair twice."""
+    one = np.arange(part.start, part.stop, dtype=np.int32)[:, None]
+    other = nearest[part]
+    mutual = (nearest[other] == one[..., None]).any(axis=2)
+    once = (one < other) | ((one > other) & ~mutual)
+    return np.minimum(one, other)[once], np.maximum(one, other)[once]
 
 
 def in_chunks(count: int, work: Callable[[slice], Any]) -> list[Any]:
@@ -233,39 +269,36 @@ def in_chunks(count: int, work: Callable[[slice], Any]) -> list[Any]:
 class _Field:
     """The numbers that pairs are compared by, in single precision."""
 
-    positions: Array  # (n, 3) [px]
-    covariances: Array  # (n, 6), with the low-pass filter [px^2]
+    positions: Array  # (n, 3) [m]
+    colours: Array  # (n, 3) harmonics of band 0
     weights: Array
+    errors: Array
+    covariances: Array  # (n, 6), with the low-pass filter [px^2]
     amplitudes: Array  # (n,) factor on each splat's Gaussian of unit mass
     contrasts: Array
-    errors: Array
-    colours: Array
     alone: Array  # (n,) integral of the square of each splat's Gaussian
+    pixel: np.float32  # [m]
 
     @classmethod
     def of(cls, splats: Splats, contributions: Contributions, pixel: float) -> _Field:
-        # In pixels from the middle: areas in metres may be beyond 32-bit floats.
-        middle = splats.positions.mean(axis=0)
+        covariances = np.empty((len(splats), 6), np.float32)
+        amplitudes, contrasts, alone = np.empty((3, len(splats)), np.float32)
 
-        def part_of(part: slice) -> tuple[Array, ...]:
-            some, found = splats[part], contributions[part]
-            covariances = _blurred(_covariances(some), pixel)
-            alone = _alone(covariances)
-            return (
-                (some.positions - middle) / np.float32(pixel),
-                covariances,
-                found.weight.astype(np.float32),
-                np.sqrt(found.energy / alone).astype(np.float32),
-                found.contrast().astype(np.float32),
-                found.error.astype(np.float32),
-                np.float32(C0) * some.sh[:, 0],
-                alone,
-            )
+        def fill(part: slice) -> None:
+            found = contributions[part]
+            covariances[part] = _blurred(_covariances(splats[part]), pixel)
+            alone[part] = _alone(covariances[part])
+            amplitudes[part] = np.sqrt(found.energy / alone[part])
+            contrasts[part] = found.contrast()
 
-        parts = in_chunks(len(splats), part_of)
-        return cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+        in_chunks(len(splats), fill)
+        return cls(
+            splats.positions, splats.sh[:, 0], contributions.weight.astype(np.float32, copy=False),
+            contributions.error.astype(np.float32, copy=False), covariances, amplitudes, contrasts,
+            alone, np.float32(pixel),
+        )  # fmt: skip
 
-    def cost(self, i: Indices, j: Indices) -> Array:
+    def cost(self, i: Numbers, j: Numbers) -> Array:
         """(m,) squared errors of merging splats i (m,) with splats j (m,)."""
         of_i, of_j = self.amplitudes[i], self.amplitudes[j]
         total = of_i + of_j
@@ -274,7 +307,8 @@ class _Field:
             self.weights[j] + np.float32(LEAST),
         )
         share = weighs_j / (weighs_i + weighs_j)
-        apart = self.positions[j] - self.positions[i]
+        # In pixels: areas in metres may be beyond 32-bit floats.
+        apart = (self.positions[j] - self.positions[i]) / self.pixel
         one, other = self.covariances[i], self.covariances[j]
         merged = _mixed(one, other, apart, share)
         both = _overlap(apart, one + other)
@@ -283,28 +317,12 @@ class _Field:
         shape -= 2 * total * of_i * _overlap(share[:, None] * apart, one + merged)
         shape -= 2 * total * of_j * _overlap((1 - share)[:, None] * apart, other + merged)
         contrast = self.contrasts[i] + share * (self.contrasts[j] - self.contrasts[i])
-        differ = ((self.colours[j] - self.colours[i]) ** 2).sum(axis=1)
+        differ = np.float32(C0**2) * ((self.colours[j] - self.colours[i]) ** 2).sum(axis=1)
         differs_i, differs_j = share * of_i, (1 - share) * of_j
         colour = differs_i**2 * self.alone[i] + differs_j**2 * self.alone[j]
         colour -= 2 * differs_i * differs_j * both
         costs: Array = contrast * np.maximum(shape, 0) + differ * np.maximum(colour, 0)
         return costs + np.float32(INEXACT) * np.minimum(self.errors[i], self.errors[j])
-
-
-def _disjoint(low: Indices, high: Indices, costs: Array, count: int, most: int) -> Indices:
-    """Takes the cheapest pair that is left, at most `most` times; returns the indices, in order."""
-    enough = count  # of the cheapest to look at; may not hold `most` disjoint pairs
-    while True:
-        if enough < len(costs):
-            cheap = np.flatnonzero(costs <= np.partition(costs, enough)[enough])
-        else:
-            cheap = np.arange(len(costs))
-        order = cheap[_ascending(costs[cheap])]
-        taken = _first_disjoint(low[order], high[order], count)
-        if len(taken) >= most or len(order) == len(costs):
-            chosen: Indices = order[taken[:most]]
-            return chosen
-        enough *= 2
 
 
 def _ascending(values: NDArray[np.float32]) -> Indices:
@@ -318,7 +336,7 @@ def _ascending(values: NDArray[np.float32]) -> Indices:
     return (keys & np.uint64(0xFFFFFFFF)).astype(np.intp)
 
 
-def _first_disjoint(low: Indices, high: Indices, count: int) -> Indices:
+def _first_disjoint(low: Numbers, high: Numbers, count: int) -> Indices:
     """Indices, in order, of the pairs that share no splat with a pair taken before."""
     rank = np.arange(len(low))
     taken = []
