@@ -211,6 +211,18 @@ def test_contributions_are_those_of_the_twin(renderer: CpuRenderer, view: str) -
     np.testing.assert_allclose(found.error / 2, errors, rtol=5e-3, atol=1e-3)
 
 
+def test_what_a_view_sees_is_taken_out_of_the_sums(renderer: CpuRenderer) -> None:
+    insert_all(renderer, cloud())
+    found = rendering.Contributions()
+    renderer.contribute(posed(next(iter(CAMERAS.values()))), found)
+    sums = found.weight, found.energy, found.error
+    slots, *taken = found.take_seen()
+    assert 0 < len(slots) < len(sums[0])
+    np.testing.assert_array_equal(slots, np.flatnonzero(sums[0]))
+    np.testing.assert_array_equal(taken, [each[slots] for each in sums])
+    assert not any(each.any() for each in (found.weight, found.energy, found.error))
+
+
 @pytest.mark.parametrize("view", CAMERAS)
 def test_a_residual_is_dealt_as_by_the_twin(renderer: CpuRenderer, view: str) -> None:
     camera = CAMERAS[view]

@@ -12,6 +12,7 @@ import pytest
 from rosplat_core.cameras import Camera, look_at, orbit, save_cameras
 from rosplat_core.formats import load, save
 from rosplat_core.generated import generate
+from rosplat_core.simplification import search
 from rosplat_core.simplification.search import Simplification
 from rosplat_core.simplification.views import LEAST_BETWEEN, TURN, Along
 from rosplat_core.slot_order import put_in_slot_order
@@ -123,6 +124,17 @@ def test_the_same_count_looks_better_along_the_path(scene: Splats, path: list[Ca
     ours, others = along.judge(along.splats), along.judge(anywhere.splats)
     assert ours.psnr > others.psnr + 3
     assert ours.worst > others.worst + 3
+
+
+def test_what_nobody_notices_goes_without_pairing(
+    scene: Splats, path: list[Camera], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = Simplification(scene, path=path)
+    monkeypatch.delattr(search, "find_pairs")
+    work.reduce(int(0.7 * len(scene)))
+    assert work.judge(work.splats).psnr > 60
+    with pytest.raises(NameError, match="find_pairs"):  # the rest is not left out unasked
+        work.reduce(int(0.3 * len(scene)))
 
 
 @pytest.mark.parametrize("bound", [20, 25])

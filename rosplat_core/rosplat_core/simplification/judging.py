@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
 from rosplat_core.maps import DELETE, UPSERT
+from rosplat_core.rendering import Contributions as Sums
 from rosplat_core.rendering import CpuRenderer, SplatCamera, edit, insert_all, posed, psnr_of
-from rosplat_core.simplification.merging import Indices, Pairs
+from rosplat_core.simplification.merging import Contributions, Indices, Pairs
 from rosplat_core.splats import Splats
 
 SHARE = 0.95  # of the views, that reach a bound
@@ -135,9 +136,16 @@ class Trial:
     def __init__(self, splats: Splats) -> None:
         self.splats = splats
         self.renderer = CpuRenderer()
+        self._sums = Sums()
         self._revision = insert_all(self.renderer, splats)
         self._pairs: Pairs | None = None
         self._count = 0
+
+    def contributions(self, camera: Camera) -> tuple[NDArray[np.uint32], Contributions]:
+        """The splats (m,) that a view sees, and what they contribute to it."""
+        self.renderer.contribute(posed(camera), self._sums)
+        seen, weight, energy, error = self._sums.take_seen()
+        return seen, Contributions(weight, energy, error)
 
     def apply(self, pairs: Pairs, count: int) -> None:
         """Merges the first count of the map's pairs, and no other."""

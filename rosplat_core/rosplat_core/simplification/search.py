@@ -15,10 +15,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
-from rosplat_core.rendering import MOST_PSNR, posed, psnr_of
-from rosplat_core.rendering import Contributions as Sums
+from rosplat_core.rendering import MOST_PSNR, psnr_of
 from rosplat_core.simplification.judging import (
     LEAST_SHOWN,
     Judge,
@@ -33,6 +33,7 @@ from rosplat_core.simplification.merging import (
     Pairs,
     areas,
     find_pairs,
+    in_chunks,
     merge,
 )
 from rosplat_core.simplification.refitting import MOST_STEPS, refit
@@ -48,6 +49,7 @@ FRESH = 40  # new views that a map is checked in
 ROUNDS = 3  # in which these are learnt from, at most
 FRESH_SEED, REFIT_SEED = 1000, 2  # of these views, and of those that maps are refitted to
 FREE = 15.0  # so far above a bound is what is left out without a thought of merging [dB]
+UNNOTICED = 60.0  # what is left out is less than 8 bits of a screen round away, 58.9 [dB]
 COMPARED = 12  # views that tell whether leaving out or merging makes the smaller error
 UNSEEN = 0.03  # transmittance at which each splat counts as seen beside what views see of it
 CONTRAST = 0.09  # mean square difference that an unseen splat is taken to have from its background
@@ -78,12 +80,12 @@ class Learnt:
 
     def __init__(self, trial: Trial, places: Views) -> None:
         """Raises InputError where no camera of a path sees a splat, whatever its neighbours see."""
-        if places.path and not any(_look(trial, camera).weight.any() for camera in places.path):
+        if places.path and not any(len(_look(trial, camera)[0]) for camera in places.path):
             raise InputError(
                 "no camera of the path sees a splat: is it in the scene's coordinates?"
             )
         self._splats, self._places = trial.splats, places
-        self._sums = Contributions(*np.zeros((3, len(trial.splats))))
+        self._sums = Contributions(*np.zeros((3, len(trial.splats)), np.float32))
         self.drawn = 0
         """How many views were drawn at random."""
         self.missed = 0
@@ -113,21 +115,23 @@ class Learnt:
     ) -> None:
         for number, camera in enumerate(cameras):
             progress(number / len(cameras))
-            seen = _look(trial, camera)
+            seen, found = _look(trial, camera)
             for name in ("weight", "energy", "error"):
-                getattr(self._sums, name)[:] += times * getattr(seen, name)
+                getattr(self._sums, name)[seen] += times * getattr(found, name)
         self.views += times * len(cameras)
 
     @property
     def contributions(self) -> Contributions:
         """The sums, with a little added for what no view sees: others will."""
-        splats, sums = self._splats, self._sums
-        hidden = sums.weight == 0
-        pixels = self._places.pixels * math.sqrt(WIDTH * HEIGHT / PIXELS)
+        return Contributions.concatenate(in_chunks(len(self._splats), self._with_unseen))
+
+    def _with_unseen(self, part: slice) -> Contributions:
+        splats, sums = self._splats[part], self._sums[part]
+        pixels = self._places.pixels[part] * math.sqrt(WIDTH * HEIGHT / PIXELS)
         unhidden = np.minimum(2 * math.pi * splats.opacities * areas(splats) / pixels**2, PIXELS)
-        weight = self.views * UNSEEN * unhidden
-        if self._places.complete:
-            weight *= hidden  # more for splats seen now and then would displace those that matter
+        weight = (self.views * UNSEEN * unhidden).astype(np.float32)
+        if self._places.complete:  # more for splats seen now and then would displace others
+            weight *= sums.weight == 0
         energy = weight * UNSEEN * splats.opacities / 2  # a Gaussian's squares: half its integral
         return Contributions(
             sums.weight + weight, sums.energy + energy, sums.error + CONTRAST * energy
@@ -140,16 +144,12 @@ class Learnt:
         return float(np.median(pixels if hidden.all() else pixels[~hidden]))
 
 
-def _look(trial: Trial, camera: Camera) -> Contributions:
-    """What splats contribute to a view, as if the map filled it."""
-    camera, sums = resized(camera, PIXELS), Sums()
-    trial.renderer.contribute(posed(camera), sums)
-    found = [
-        array[: len(trial.splats)].astype(np.float64)
-        for array in (sums.weight, sums.energy, sums.error)
-    ]
-    shown = max(float(found[0].sum()), LEAST_SHOWN * camera.width * camera.height)
-    return Contributions(*(array * (PIXELS / shown) for array in found))
+def _look(trial: Trial, camera: Camera) -> tuple[NDArray[np.uint32], Contributions]:
+    """The splats (m,) that a view sees, and what they contribute, as if the map filled it."""
+    camera = resized(camera, PIXELS)
+    seen, found = trial.contributions(camera)
+    shown = max(found.weight.sum(dtype=np.float64), LEAST_SHOWN * camera.width * camera.height)
+    return seen, found.times(PIXELS / shown)
 
 
 class Simplification:
@@ -182,10 +182,15 @@ class Simplification:
     def reduce(self, count: int) -> None:
         """Reduces the map to count splats, or a few fewer."""
         while len(self.splats) > count:
-            alone, pairs = self._alone(), self._pairs()
-            fewer = min(len(pairs), len(alone), len(self.splats) - count)
+            chosen = self._alone()
+            fewer = min(len(chosen), len(self.splats) - count)
+            error = self._compared(chosen, fewer)
+            if psnr_of(error) < UNNOTICED:
+                pairs = self._pairs()
+                if self._compared(pairs, fewer) < error:
+                    chosen = pairs
             self._trial = None  # of another map
-            self._merge(alone if self._is_no_worse(alone, pairs, fewer) else pairs, fewer)
+            self._merge(chosen, fewer)
         self._trial = None  # frees its memory
 
     def shrink(self, bound: float) -> None:
@@ -249,21 +254,20 @@ class Simplification:
             return alone, len(alone), error
         pairs = self._pairs()
         count, error = self._most(pairs, bound, before)
-        if self._is_no_worse(alone, pairs, min(count, len(alone))):
+        fewer = min(count, len(alone))
+        if self._compared(alone, fewer) <= self._compared(pairs, fewer):
             more, less = self._most(alone, bound, before)
             if more >= count:
                 return alone, more, less
         return pairs, count, error
 
-    def _is_no_worse(self, one: Pairs, other: Pairs, count: int) -> bool:
-        """Whether the first count of one make no larger an error than as many of the other."""
+    def _compared(self, pairs: Pairs, count: int) -> float:
+        """The error in some of the judge's views with the first count pairs merged."""
         trial = self._trial = self._trial or Trial(self.splats)
-        errors = []
-        for pairs in (one, other):
-            trial.apply(pairs, count)
-            views = np.linspace(0, len(self.judge) - 1, COMPARED).astype(np.intp)
-            errors.append(float(self.judge.errors(trial, views).mean()))
-        return errors[0] <= errors[1]
+        trial.apply(pairs, count)
+        views = np.linspace(0, len(self.judge) - 1, COMPARED).astype(np.intp)
+        tell = self._telling_of(f"looking at {len(self.splats) - count:,} splats")
+        return float(self.judge.errors(trial, views, tell).mean())
 
     def refine(
         self, seconds: float, bound: float = MOST_PSNR, most_steps: int = MOST_STEPS
@@ -359,6 +363,7 @@ class Simplification:
         )
 
     def _pairs(self) -> Pairs:
+        self._trial = None  # frees its memory
         return find_pairs(
             self.splats, self._contributions, self.learnt.pixel,
             self._telling_of(f"pairing {len(self.splats):,} splats"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,7 @@ class Views(Protocol):
     """Whether a splat that shows in none of many such views need not show in any."""
     checked: list[Camera]
     """The views that a search begins to check maps by."""
-    pixels: NDArray[np.float64]
+    pixels: NDArray[np.floating[Any]]
     """(n,) size of a pixel at each splat. [m]"""
 
     def cameras(self, count: int, seed: int) -> list[Camera]:
@@ -217,18 +217,24 @@ def resized(camera: Camera, pixels: int) -> Camera:
 
 def _clearances(
     splats: Splats, places: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """(n,) from each splat to the nearest place, (m,) from each place to the nearest opaque. [m]"""
     places = places - splats.origin
     tree = cKDTree(places)
-    found = in_chunks(len(splats), lambda part: tree.query(splats.positions[part]))
-    away, nearest = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    away = np.empty(len(splats), np.float32)
     opaque = splats.opacities >= min(OPAQUE, splats.opacities.max())
-    bounds = np.zeros(len(places))  # upper ones: a place's nearest splat may be nearer to another
-    bounds[nearest[opaque]] = np.inf
-    np.minimum.at(bounds, nearest[opaque], away[opaque])
-    reach = bounds.max()
-    near = splats.positions[opaque & (away <= reach)]
+
+    def find(part: slice) -> Point:
+        """Upper bounds: a place's nearest splat may be nearer to another."""
+        distances, nearest = tree.query(splats.positions[part])
+        away[part] = distances
+        bounds = np.full(len(places), np.inf)
+        np.minimum.at(bounds, nearest[opaque[part]], distances[opaque[part]])
+        return bounds
+
+    bounds = np.min(in_chunks(len(splats), find), axis=0)
+    reach = bounds[np.isfinite(bounds)].max()
+    near = splats.positions[opaque & (away <= np.float32(reach))]
     return away, np.minimum(cKDTree(near).query(places)[0], reach)
 
 

@@ -210,6 +210,24 @@ void contributeOnCpu(CpuRenderer& renderer, const SplatCamera& camera, Contribut
   renderer.rasterizer.contribute(request, sums);
 }
 
+// The slots that contribute, and their weights, energies and errors, all of which are 0 afterwards:
+// a view sees few of a large map's.
+py::tuple takeSeen(Contributions& sums) {
+  std::vector<std::uint32_t> slots;
+  std::array<std::vector<float>, 3> seen;
+  const std::array<std::vector<float>*, 3> all{&sums.weight, &sums.energy, &sums.error};
+  for (std::size_t slot = 0; slot < sums.weight.size(); ++slot) {
+    if (sums.weight[slot] == 0) continue;
+    slots.push_back(static_cast<std::uint32_t>(slot));
+    for (std::size_t i = 0; i < all.size(); ++i) {
+      seen[i].push_back(std::exchange((*all[i])[slot], 0.0f));
+    }
+  }
+  const auto n = static_cast<py::ssize_t>(slots.size());
+  return py::make_tuple(toArray(std::move(slots), {n}), toArray(std::move(seen[0]), {n}),
+                        toArray(std::move(seen[1]), {n}), toArray(std::move(seen[2]), {n}));
+}
+
 Array<std::uint32_t> pickOnCpu(CpuRenderer& renderer, const SplatCamera& camera) {
   const PictureRequest request = requestOf(renderer, camera);
   std::vector<std::uint32_t> picked;
@@ -369,7 +387,10 @@ void defineRendering(py::module_& module) {
       .def_property_readonly("energy", [=](const Contributions& c) { return sums_of(c.energy); })
       .def_property_readonly("error", [=](const Contributions& c) { return sums_of(c.error); })
       .def_property_readonly("residual",
-                             [=](const Contributions& c) { return sums_of(c.residual); });
+                             [=](const Contributions& c) { return sums_of(c.residual); })
+      .def(
+          "take_seen", &takeSeen,
+          "The slots with a weight, and their weights, energies and errors; all are 0 afterwards.");
   py::class_<CpuRenderer> cpu_renderer(module, "CpuRenderer");
   defineApply(cpu_renderer, take);
   cpu_renderer
