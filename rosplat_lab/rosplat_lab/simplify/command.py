@@ -186,6 +186,7 @@ def _simplify(options: argparse.Namespace, command: str) -> None:
         output = Output(out, drafts)
         work = Simplification(splats, tell, path, options.margin)
         written = _within(work, output, *bounds, 60 * options.refine)
+        work.splats = written.splats  # frees the memory of those that were written
         new = work.look_anew()
         errors = work.judge.errors(
             Trial(written.splats), progress=partial(tell, "checking the file")
