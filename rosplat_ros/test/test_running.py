@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from rosplat_testing import PATIENCE
 
 INTERRUPTED_AS_IT_BEGINS = """
@@ -93,8 +95,25 @@ with running.spinning(node):
 """
 
 
-def test_a_node_that_hangs_as_it_ends_is_ended() -> None:
-    command = [sys.executable, "-c", HANGS_AS_IT_ENDS]
+HALF_MADE = """
+import ctypes
+from rosplat_core.splats import InputError
+from rosplat_ros.program import running
+running.LAST = 0.5
+class Half:
+    def __init__(self):
+        raise InputError("no such file")
+    def __del__(self):
+        hangs()
+def hangs():
+    ctypes.PyDLL(None).pause()
+running.run_node("half", Half)
+"""
+
+
+@pytest.mark.parametrize("code", [HANGS_AS_IT_ENDS, HALF_MADE])
+def test_a_node_that_hangs_as_it_ends_is_ended(code: str) -> None:
+    command = [sys.executable, "-c", code]
     run = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert run.returncode == 1
     assert "in hangs" in run.stderr

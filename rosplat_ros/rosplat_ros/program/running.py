@@ -6,6 +6,7 @@ import faulthandler
 import math
 import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -87,16 +88,25 @@ def _run(program: str, body: Callable[[], None], module: str, usage: str = "") -
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         interrupt_by_signals()
         body()
-    except (KeyboardInterrupt, Cancelled, ExternalShutdownException):
-        pass
+    except (KeyboardInterrupt, Cancelled, ExternalShutdownException) as end:
+        _free_frames(end)
     except (
         InputError, RuntimeError, OSError, MemoryError,
         InvalidParameterTypeException, InvalidParameterValueException,
     ) as error:  # fmt: skip
         print(f"{program}: {told(error)}", file=sys.stderr)
+        _free_frames(error)
         sys.exit(1)
     finally:
         rclpy.try_shutdown()
+
+
+def _free_frames(error: BaseException | None) -> None:
+    """Destroys what frames of an exception hold, such as a node that was only half made."""
+    with _ended_within(LAST):
+        while error:
+            traceback.clear_frames(error.__traceback__)
+            error = error.__context__
 
 
 @contextmanager
