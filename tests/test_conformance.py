@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -118,7 +119,11 @@ class Raw:
         if self.message.format:
             return getattr(messages.decode(self.message)[1], name)
         value = getattr(self.message, name)
-        return np.asarray(value) if isinstance(value, array) else value
+        if not isinstance(value, array):
+            return value
+        shape = len(self), (self.message.sh_degree + 1) ** 2, 3
+        as_told = name == "sh" and len(value) == math.prod(shape)
+        return np.reshape(value, shape) if as_told else np.asarray(value)
 
     def __len__(self) -> int:
         return int(self.message.count)
