@@ -97,7 +97,7 @@ def libraries(package: str) -> set[Library]:
 def required(file: str) -> set[str]:
     """The projects of PyPI that a file of requirements names."""
     lines = (ROOT / "requirements" / file).read_text().splitlines()
-    return {line for line in lines if line and not line.startswith("#")}
+    return {match[0] for line in lines if (match := re.match(r"[\w-]+", line))}
 
 
 @pytest.mark.parametrize("package", OURS)
