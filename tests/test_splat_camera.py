@@ -209,6 +209,17 @@ def test_without_mujoco_its_package_is_named(monkeypatch: pytest.MonkeyPatch) ->
         SplatCamera(None, None, cloud())
 
 
+def test_an_opengl_that_mujoco_lacks_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "mujoco.py").write_text("raise AttributeError('no glGetError')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(__import__("sys").modules, "mujoco", raising=False)
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    with pytest.raises(InputError, match="MUJOCO_GL='osmesa': no glGetError"):
+        SplatCamera(None, None, cloud())
+
+
 def turned(vector: list[float]) -> Any:
     """The rotation matrix of a rotation vector [rad]."""
     return Rotation.from_rotvec(vector).as_matrix()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,16 @@ from rosplat_core.splats import InputError
 
 
 def load_mujoco() -> Any:
-    """The module. Raises InputError, naming the package, where it is not installed."""
+    """The module. Raises InputError where it, or what MUJOCO_GL names, is not installed."""
     try:
         import mujoco as found  # which takes a while
-    except ImportError as error:
-        raise InputError("MuJoCo needs the Python package mujoco: pip install mujoco") from error
+    except Exception as error:  # of PyOpenGL, too, and of no common kind
+        if isinstance(error, ModuleNotFoundError) and error.name == "mujoco":
+            reason = "MuJoCo needs the Python package mujoco: pip install mujoco"
+        else:
+            wanted = os.environ.get("MUJOCO_GL", "")
+            reason = f"MuJoCo does not begin with MUJOCO_GL='{wanted}': {shown(error, 150)}"
+        raise InputError(reason) from error
     return found
 
 
