@@ -154,7 +154,7 @@ class Viewer(Node):
         try:
             self._take(message, arrival)
         except MemoryError:
-            self._map.pull_again()  # which pulls the map again
+            self._map.pull_again()
             self.get_logger().error(
                 f"{self._map.topic}: there is no memory for a batch", throttle_duration_sec=5.0
             )

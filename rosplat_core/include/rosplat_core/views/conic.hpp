@@ -43,8 +43,10 @@
 //
 //   d = c^2 S_xx / (sqrt(c^2 S_xx - c^4 |right x ahead|^2) + c^2 g_x)
 //
-// and nowhere if the root is imaginary or the divisor is not more than 0. To the left, -g_x. All
-// sums are of squares or of products of cross products, so that float32 holds needles and discs.
+// and nowhere if the root is imaginary or the divisor is not more than 0. To the left, -g_x. Rays
+// are whole lines, as in gsplat, so an open outline has a mirror image, of what is behind the
+// camera. It begins at the other root. All sums are of squares or of products of cross products, so
+// that float32 holds needles and discs.
 //
 // 2DGS gives each disc a spot around the centre of its outline at one deviation, of half a pixel's
 // variance: the distance of which the smaller one counts is kSpot times the square of the offset.
