@@ -101,6 +101,12 @@ class DistanceField:
         )
         return cls((distances * resolution).astype(np.float32), origin, resolution)
 
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        """Whether points (n, 3) [m] are within the field, where distances are known."""
+        last = np.array(self.distances.shape) - 1
+        place = (points - self.origin) / self.resolution
+        return np.asarray(((place >= 0) & (place <= last)).all(axis=1))
+
     def at(self, points: ArrayLike) -> tuple[Array, Array]:
         """Distances (n,) [m] of points (n, 3) [m] and their gradients (n, 3), away from surfaces.
 

@@ -99,6 +99,10 @@ def test_between_voxels_distances_are_interpolated(tmp_path) -> None:
         np.testing.assert_allclose(gradients[within, axis], slope[within], atol=1e-5)
     beyond, _ = field.at([[1.0, 1.0, -3.0]])
     assert beyond[0] == pytest.approx(field.distances[0, 0, 0] + 4)
+    assert field.holds(points).all()
+    assert field.holds([[1, 1, 1], [3, 3.5, 4], [1, 1, -3], [1, 3.6, 1]]).tolist() == [
+        True, True, False, False,
+    ]  # fmt: skip
     field.save(tmp_path / "field.npz")
     with np.load(tmp_path / "field.npz") as saved:
         np.testing.assert_array_equal(saved["distances"], field.distances)

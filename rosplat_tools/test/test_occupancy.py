@@ -28,13 +28,14 @@ from rosplat_core.generated.rooms import DOOR_ASIDE, DOOR_WIDTH, ROOMS, SIZE, WA
 from rosplat_core.occupancy import OccupancyMap, grid_of
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
-from rosplat_msgs.srv import PullMap, SaveMap
+from rosplat_msgs.srv import MeasureDistances, PullMap, SaveMap
 from rosplat_ros.map_publisher import MapPublisher
 from rosplat_ros.program.running import spinning
 from rosplat_ros.qos import MAP
 from rosplat_testing import PATIENCE
 from rosplat_testing.studio import Log, transform
 from rosplat_tools import map_subscriber
+from rosplat_tools.frames import FrameError
 from rosplat_tools.obstacles import occupancy
 
 Start = Callable[..., subprocess.Popen[str]]
@@ -190,6 +191,83 @@ def plane(positions: NDArray[np.float64], axis: int) -> Splats:
         opacities=np.full(count, 0.9),
         sh=np.zeros((count, 1, 3)),
     )
+
+
+def test_a_planner_measures_distances_and_which_way_is_clear(
+    start: Start, node: Node, listener: Any
+) -> None:
+    """Above a floor and beside a wall, as they are now; what is wrong is named."""
+    process = start("occupancy", resolution=RESOLUTION, size=20.0)
+
+    def measured(points: Any, frame_id: str = "") -> Any:
+        numbers = np.ravel(points).astype(float).tolist()
+        return listener.call(
+            MeasureDistances, "gaussians/measure", points=numbers, frame_id=frame_id
+        )
+
+    answer = measured([[0, 0, 1]])
+    assert (answer.success, list(answer.distances)) == (False, [])
+    assert "no map has come yet" in answer.message
+    publisher = MapPublisher(node, frame_id="flat")
+    publisher.replace(floor())
+    points = [[0.0, 0.0, 0.5], [0.8, 0.0, 0.5], [0.0, 0.0, 9.0], [-40.0, 0.0, 0.0]]
+    listener.wait(lambda: measured(points).success)
+    answer = measured(points, "flat")
+    assert answer.message == ""
+    assert list(answer.distances[:2]) == pytest.approx([0.49, 0.49], abs=0.01)
+    gradients = np.reshape(answer.gradients, (-1, 3))
+    np.testing.assert_allclose(gradients[:2], [[0, 0, 1]] * 2, atol=0.05)
+    assert np.isnan(answer.distances[2:]).all() and np.isnan(gradients[2:]).all()  # unknown
+
+    walls = 1024 * 8
+    publisher.upsert(range(walls, walls + len(wall(1.05))), wall(1.05))
+    listener.wait(lambda: measured(points).distances[1] == pytest.approx(0.25, abs=0.01))
+    towards_wall = np.reshape(measured(points).gradients, (-1, 3))[1]
+    np.testing.assert_allclose(towards_wall, [-1, 0, 0], atol=0.05)
+
+    many = np.zeros(3 * (occupancy.MOST_POINTS + 1))
+    for wrong, why in (
+        ([0, 0], "points: expected x, y, z of each"),
+        (many, "of at most 1,048,576, got 3,145,731 numbers"),
+        ([[0, 0, 0], [0, np.inf, 0]], "points: number 1, counted from 0, is not finite"),
+    ):
+        answer = measured(wrong)
+        assert (answer.success, list(answer.distances)) == (False, [])
+        assert why in answer.message
+    answer = measured(points, "nowhere")
+    assert not answer.success and "nowhere" in answer.message
+    assert measured([]).success
+    publisher.replace(floor()[:0])
+    listener.wait(lambda: "no surface" in measured(points).message)
+    ended(process)
+
+
+def test_points_may_be_in_any_frame_that_tf_knows(
+    monkeypatch: pytest.MonkeyPatch, node: Node, listener: Any
+) -> None:
+    base = np.array([[0.0, -1, 0, 0.8], [1, 0, 0, 0], [0, 0, 1, 0.2], [0, 0, 0, 1]])
+
+    class Frames:
+        def __init__(self, _: Node) -> None:
+            pass
+
+        def pose(self, frame: str, within: str) -> tuple[int, NDArray[np.float64]]:
+            if frame != "base":
+                raise FrameError(f"no {frame}")
+            assert within == "map"
+            return 0, base
+
+    monkeypatch.setattr(occupancy, "Frames", Frames)
+    publisher = MapPublisher(node)
+    with running(node, "resolution:=0.1"):
+        publisher.replace(wall(1.05))
+        call = partial(listener.call, MeasureDistances, "gaussians/measure")
+        asked = {"frame_id": "base", "points": [0.1, 0.0, 0.3]}
+        listener.wait(lambda: call(**asked).success)
+        answer = call(**asked)
+        assert answer.distances[0] == pytest.approx(0.25, abs=0.01)
+        np.testing.assert_allclose(answer.gradients, [0, 1, 0], atol=0.05)
+        assert call(frame_id="odom", points=[0.0, 0.0, 0.0]).message == "no odom"
 
 
 def test_edits_are_in_the_next_grid(start: Start, node: Node, listener: Any) -> None:

@@ -2,7 +2,8 @@
 
 Publishes, while somebody listens, `gaussians/occupancy` (nav_msgs/OccupancyGrid), and
 `gaussians/voxels`, `gaussians/surface` and, at the middle of the band, `gaussians/distances`
-(sensor_msgs/PointCloud2). The service `~/save` writes the grid for map_server.
+(sensor_msgs/PointCloud2). The service `gaussians/measure` answers distances at points, `~/save`
+writes the grid for map_server.
 """
 
 from __future__ import annotations
@@ -39,8 +40,9 @@ from rosplat_core.occupancy import (
 from rosplat_core.program.output import told
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.splats import InputError
-from rosplat_msgs.srv import SaveMap
+from rosplat_msgs.srv import MeasureDistances, SaveMap
 from rosplat_ros.diagnostics import Diagnostics, Report
+from rosplat_ros.messages import as_array
 from rosplat_ros.program.files_below import check_below
 from rosplat_ros.program.parameters import declare, declare_path
 from rosplat_ros.program.running import run_node
@@ -64,6 +66,7 @@ LATCHED = QoSProfile(
 )
 POLL = 0.2  # longest time between two looks at ROS and at TF [s]
 STILL = 1e-3  # how far a frame may turn before the voxels are built anew [rad]
+MOST_POINTS = 1 << 20  # that are measured at once
 SHRUNK = 0.9  # a map of too many voxels is tried again with at most this share of its splats
 
 
@@ -125,6 +128,7 @@ class Occupancy(Node):
         self._problem, self._left_out = SaidOnce(warn), SaidOnce(warn)
         self._not_free = ""  # why no cell of the grid is free
         self._no_distances = ""  # why there are none
+        self._field: tuple[object, DistanceField] | None = None  # of the map as it was then
         self._came = threading.Event()
         self._lock = threading.Lock()  # of the map and of what is made of it
         self._map = MapSubscriber(self, self._voxels, self._came.set, most_sh_degree=0)
@@ -139,6 +143,7 @@ class Occupancy(Node):
             _Output(self.create_publisher(kind, f"{topic}/{name}", **overridable(LATCHED)), make)
             for name, kind, make in outputs
         ]
+        self.create_service(MeasureDistances, f"{topic}/measure", self._on_measure)
         self.create_service(SaveMap, "~/save", self._on_save)
         self._report = self._reported()
         Diagnostics(self, topic, lambda: self._report)
@@ -280,6 +285,58 @@ class Occupancy(Node):
         """Height of the band's middle in the published frame. [m]"""
         return self._level + sum(self._band) / 2
 
+    # --- What is measured -------------------------------------------------------------------------
+
+    def _on_measure(
+        self, request: MeasureDistances.Request, response: MeasureDistances.Response
+    ) -> MeasureDistances.Response:
+        with self._lock:
+            self._map.apply_waiting()
+            try:
+                distances, gradients = self._measure(request)
+            except Exception as error:  # no request may end the node
+                response.message = shown(told(error), 500)
+                return response
+        response.distances, response.gradients = as_array("f", distances), as_array("f", gradients)
+        response.success = True
+        return response
+
+    def _measure(
+        self, request: MeasureDistances.Request
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Distances (n,) [m] and gradients (n, 3) at a request's points. Raises InputError."""
+        points = _points(np.asarray(request.points))
+        if problem := self._find_problem():
+            raise InputError(problem)
+        pose = self._pose_of(request.frame_id)
+        points = points @ pose[:3, :3].T + pose[:3, 3]
+        field = self._whole_field()
+        distances, gradients = field.at(points)
+        gradients = gradients @ pose[:3, :3]
+        unknown = ~field.holds(points)
+        distances[unknown], gradients[unknown] = np.nan, np.nan
+        return distances.astype(np.float32), gradients.astype(np.float32)
+
+    def _pose_of(self, frame: str) -> NDArray[np.float64]:
+        """(4, 4) of a frame in that of what is published [m]. Raises InputError, FrameError."""
+        published = self._frame or self._map.header.frame_id
+        if frame in ("", published):
+            return np.eye(4)
+        try:
+            self._frames = self._frames or Frames(self)
+        except InputError as error:
+            raise InputError(f"points in '{shown(frame)}' need TF: {error}") from error
+        return self._frames.pose(frame, published)[1]
+
+    def _whole_field(self) -> DistanceField:
+        """The distances around all of the map as it is now. Raises InputError."""
+        version = (self._map.edits, self._places)
+        if self._field is None or self._field[0] != version:
+            self._field = None  # of two, each takes up to 134 MB
+            field = DistanceField.of_voxels(self._voxels, self._resolution, light=self._light)
+            self._field = version, field
+        return self._field[1]
+
     # --- What is written --------------------------------------------------------------------------
 
     def _on_save(self, request: SaveMap.Request, response: SaveMap.Response) -> SaveMap.Response:
@@ -327,6 +384,19 @@ class _Output:
         if version != self._published and self.subscribers:
             self._publisher.publish(self._make(header))
             self._published = version
+
+
+def _points(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (n, 3) of a request. Raises InputError."""
+    if values.size % 3 or values.size > 3 * MOST_POINTS:
+        raise InputError(
+            f"points: expected x, y, z of each, of at most {MOST_POINTS:,}, got {values.size:,} "
+            "numbers"
+        )
+    points = values.reshape(-1, 3)
+    if not (finite := np.isfinite(points).all(axis=1)).all():
+        raise InputError(f"points: number {int(finite.argmin())}, counted from 0, is not finite")
+    return points
 
 
 def _numbers(name: str, values: Any) -> tuple[float, float]:
