@@ -234,6 +234,10 @@ def test_what_is_no_robot_is_named(refusal: Callable[..., str], tmp_path: Path) 
     broken.write_text('<mujoco><asset><mesh name="a" file="away.stl"/></asset></mujoco>')
     line = refusal("simulate", robot=broken)
     assert "broken.xml" in line and "away.stl" in line
+    mug = tmp_path / "base_link.ply"
+    save(mug, ROOMS[:100])
+    line = refusal("simulate", objects=f"['{mug}']")
+    assert "object base_link: the robot has a body of this name" in line
     assert "parameter start: expected x, y and yaw" in refusal("simulate", start="[1.0]")
 
 

@@ -218,6 +218,12 @@ def test_files_that_are_no_robots_are_named(tmp_path: Path) -> None:
         assert "\n" not in str(raised.value)
 
 
+def test_an_object_named_like_a_body_of_the_robot_is_named(boxes: Boxes) -> None:
+    for name in ("base_link", "world", module.BODY):
+        with pytest.raises(InputError, match=f"^object {name}: the robot has a body of this name"):
+            RobotModel(ROBOTS / "mobile.xml", boxes, np.eye(4), {name: boxes})
+
+
 def test_convert_writes_what_mujoco_reads(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -52,6 +52,7 @@ from rosplat_tools.simulation.sensors import (
     stamp_of,
     ticks_of,
 )
+from rosplat_tools.simulation.solids import check_name
 from rosplat_tools.simulation.splat_camera import SplatCamera
 from rosplat_tools.simulation.states import States
 
@@ -80,13 +81,16 @@ class Simulate(Node):
         if len(start) != 3 or not np.isfinite(start).all():
             raise InputError(f"parameter start: expected x, y and yaw, got {list(start)}")
         self._start: tuple[float, float, float] = (start[0], start[1], start[2])
-        compiled(read_spec(self._file), self._file)  # or else it ends here, before there is a map
         self._objects = _objects(
             declare(
                 self, "objects", [""], "Scene files, in the map's coordinates: each is a body that "
                 "moves freely.",
             )
         )  # fmt: skip
+        spec = read_spec(self._file)  # what is wrong ends it here, before there is a map
+        for name in self._objects:
+            check_name(spec, name)
+        compiled(spec, self._file)
         self._resolution: float = declare(
             self, "resolution", RESOLUTION, "Edge of voxels of the map's solid parts. [m]",
             0.005, 10.0,

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core.log_text import shown
 from rosplat_core.occupancy import LIGHT, RESOLUTION, depth_of, hollows, occupied_by
 from rosplat_core.program.files import write_text
 from rosplat_core.quaternions import from_matrices
@@ -161,6 +162,12 @@ def free_place(boxes: Boxes, wished: tuple[float, float]) -> tuple[float, float,
     return None
 
 
+def check_name(spec: Any, name: str) -> None:
+    """Raises InputError for an object named like a body of a MuJoCo spec."""
+    if name == BODY or spec.body(name) is not None:
+        raise InputError(f"object {shown(name)}: the robot has a body of this name")
+
+
 def add_solids(spec: Any, boxes: Boxes, pose: Array) -> None:
     """Adds boxes to a MuJoCo spec, in a body without a joint; pose (4, 4): of their frame [m]."""
     _add_boxes(spec.worldbody.add_body(name=BODY, pos=pose[:3, 3], quat=_quaternion(pose)), boxes)
@@ -169,8 +176,10 @@ def add_solids(spec: Any, boxes: Boxes, pose: Array) -> None:
 def add_object(spec: Any, name: str, boxes: Boxes, pose: Array) -> Array:
     """Adds boxes to a MuJoCo spec as a body that moves freely, its frame in their middle.
 
-    pose: (4, 4) of the boxes' frame [m]. Returns the body's pose (4, 4), where it begins.
+    pose: (4, 4) of the boxes' frame [m]. Returns the body's pose (4, 4), where it begins. Raises
+    InputError for the name of a body that there is.
     """
+    check_name(spec, name)
     middle = np.eye(4)
     middle[:3, 3] = (boxes.low.min(axis=0) + boxes.high.max(axis=0)) / 2
     begins = pose @ middle
