@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -179,6 +180,27 @@ def test_environments_share_a_map_and_each_has_its_own_bodies(model: Any, data: 
     first, second, third = (eye.render("first")[0] for eye in eyes)
     np.testing.assert_array_equal(first, third)
     assert (first != second).any()
+
+
+def test_environments_of_a_model_share_a_camera_in_any_thread(model: Any) -> None:
+    """Each picture is that of a SplatCamera that one environment has for itself."""
+    random, datas = np.random.default_rng(3), [mujoco.MjData(model) for _ in range(8)]
+    for of in datas:
+        of.qpos[:3] += random.uniform(-0.4, 0.4, 3)
+        mujoco.mj_forward(model, of)
+    on_body = placed(np.array([0.3, 0.0, -0.1]), turned([0.4, 0.1, -0.2]))
+    renderer, riding = CpuRenderer(cloud()), {"ball": (cloud()[:50], on_body)}
+    alone = [SplatCamera(model, of, renderer, riding=riding).render("first") for of in datas]
+    eye = SplatCamera(model, datas[0], renderer, riding=riding)
+    with ThreadPoolExecutor(4) as pool:
+        shared = list(pool.map(lambda of: eye.render("first", of), 4 * datas))
+    for seen, known in zip(shared, 4 * alone, strict=True):
+        np.testing.assert_array_equal(seen[0], known[0])
+        np.testing.assert_array_equal(seen[1], known[1])
+    assert (alone[0][0] != alone[1][0]).any()
+    other = mujoco.MjModel.from_xml_string("<mujoco><worldbody><body/></worldbody></mujoco>")
+    with pytest.raises(ValueError, match="data: expected an MjData of the SplatCamera's model"):
+        eye.render("first", mujoco.MjData(other))
 
 
 def test_without_opengl_the_map_alone_is_seen_and_it_says_why(

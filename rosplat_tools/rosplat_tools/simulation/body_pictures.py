@@ -46,7 +46,7 @@ class BodyPicture:
 
 
 class BodyPictures:
-    """Draws a model without a window, by EGL or OSMesa. One thread draws."""
+    """Draws a model without a window, by EGL or OSMesa, in any thread, but in one at a time."""
 
     def __init__(self, model: Any, width: int, height: int) -> None:
         """width, height: of the first pictures [px]. Raises NoGL, naming what lacks."""
@@ -60,18 +60,20 @@ class BodyPictures:
             self._scene.flags[getattr(self._mj.mjtRndFlag, f"mjRND_{flag}")] = False
         self._context = _open(width, height)
         try:
-            self._context.make_current()
-            with _plain_quality(model, width, height):
+            with self._context.as_current(), _plain_quality(model, width, height):
                 self._mjr = self._mj.MjrContext(model, self._mj.mjtFontScale.mjFONTSCALE_100)
+                self._mj.mjr_setBuffer(self._mj.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
         except Exception as error:  # of MuJoCo, PyOpenGL or the driver
             self._context.free()
             raise NoGL(shown(error, 300)) from error
-        self._mj.mjr_setBuffer(self._mj.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
         self._mjr.readDepthMap = self._mj.mjtDepthMap.mjDEPTH_ZEROFAR
 
     def draw(self, data: Any, camera: int, lens: Camera, *, bodies: bool = False) -> BodyPicture:
         """What a camera of the model sees, drawn as by `lens`, which camera_of() made of it."""
-        self._context.make_current()
+        with self._context.as_current():  # between pictures, other threads may have it
+            return self._draw(data, camera, lens, bodies)
+
+    def _draw(self, data: Any, camera: int, lens: Camera, bodies: bool) -> BodyPicture:
         size = lens.width, lens.height
         if size != self._size:
             self._mj.mjr_resizeOffscreen(*size, self._mjr)

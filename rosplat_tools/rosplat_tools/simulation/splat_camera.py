@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,11 @@ class SplatPicture:
 
 
 class SplatCamera:
-    """Takes pictures with the cameras of a MuJoCo model that stands in a map. One thread draws."""
+    """Takes pictures with the cameras of a MuJoCo model that stands in a map.
+
+    Threads that draw wait for one another. Environments of one model share a SplatCamera: each
+    picture may be of another MjData.
+    """
 
     def __init__(
         self,
@@ -59,8 +64,9 @@ class SplatCamera:
         near: float = 0.02,
         far: float = 1e4,
     ) -> None:
-        """model, data: MjModel and MjData. splats: a map, or a renderer that holds one, which
-        several SplatCameras may share. map_pose: (4, 4) the map's pose in MuJoCo's world [m].
+        """model, data: MjModel, and the MjData that pictures are of by default. splats: a map, or a
+        renderer that holds one, which several SplatCameras may share. map_pose: (4, 4) the map's
+        pose in MuJoCo's world [m].
         riding: by the name of a body, splats that move with it, and their pose (4, 4) in its frame.
         width, height: of pictures of cameras without a resolution of their own [px]. near, far:
         distances between which things are drawn [m].
@@ -78,35 +84,40 @@ class SplatCamera:
         self._size, self._clip = (width, height), (near, far)
         self.problem = ""
         """Why bodies are not drawn; empty if they are."""
+        self._drawing = Lock()
         self._bodies: BodyPictures | None = None
         try:
             self._bodies = BodyPictures(model, width, height)
         except NoGL as error:
             self.problem = str(error)
 
-    def render(self, camera: int | str) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    def render(
+        self, camera: int | str, data: Any = None
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Colours (height, width, 3) and depths (height, width) that a camera sees, as of
-        SplatPicture. camera: its number or name. Raises ValueError for one that there is not."""
-        picture = self.picture(camera)
+        SplatPicture. camera: its number or name. data: another MjData of the model. Raises
+        ValueError for a camera that there is not, and data of another model."""
+        picture = self.picture(camera, data)
         return picture.colour, picture.depth
 
-    def picture(self, camera: int | str, *, bodies: bool = False) -> SplatPicture:
+    def picture(self, camera: int | str, data: Any = None, *, bodies: bool = False) -> SplatPicture:
         """As render(); bodies: also which body is where."""
-        lens = self.camera(camera)
-        solid = (
-            self._bodies.draw(self._data, lens.id, lens, bodies=bodies) if self._bodies else None
-        )
+        data = self._own(data)
+        lens = self.camera(camera, data)
         in_map = Camera(**(vars(lens) | {"world_to_camera": lens.world_to_camera @ self.map_pose}))
-        drawn = self.renderer.draw(
-            posed(in_map),
-            beside=self.riders.at(self._data, self.map_pose),
-            median_depth=True,
-            scene_depth=solid.depth if solid else None,
-        )
+        with self._drawing:
+            solid = self._bodies.draw(data, lens.id, lens, bodies=bodies) if self._bodies else None
+            drawn = self.renderer.draw(
+                posed(in_map),
+                beside=self.riders.at(data, self.map_pose),
+                median_depth=True,
+                scene_depth=solid.depth if solid else None,
+            )
         return _together(drawn["colour"], drawn["depth"][..., 0], solid, lens, bodies)
 
-    def camera(self, camera: int | str) -> Camera:
+    def camera(self, camera: int | str, data: Any = None) -> Camera:
         """A camera of the model, by its number or name, as it is now in MuJoCo's world."""
+        data = self._own(data)
         number = camera
         if isinstance(camera, str):
             number = self._mj.mj_name2id(self._model, self._mj.mjtObj.mjOBJ_CAMERA, camera)
@@ -115,7 +126,13 @@ class SplatCamera:
             raise ValueError(f"camera '{camera}': the model has {names or 'none'}")
         own = self._model.cam_resolution[number].tolist()
         width, height = own if min(own) > 1 else self._size
-        return camera_of(self._model, self._data, number, width, height, *self._clip)
+        return camera_of(self._model, data, number, width, height, *self._clip)
+
+    def _own(self, data: Any) -> Any:
+        """The data, or the default ones. Raises ValueError for those of another model."""
+        if data is not None and data.signature != self._model.signature:
+            raise ValueError("data: expected an MjData of the SplatCamera's model")
+        return self._data if data is None else data
 
     def close(self) -> None:
         """Frees what the graphics driver holds. Later pictures are of the map alone."""
