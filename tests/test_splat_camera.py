@@ -13,15 +13,19 @@ from scipy.spatial.transform import Rotation
 
 from drawing import decibels
 from rosplat_core.cameras import look_at
+from rosplat_core.first_look import sample
+from rosplat_core.formats import load
 from rosplat_core.generated import generate
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.rendering import CpuRenderer, insert_groups, move, posed
 from rosplat_core.rigid import placed
 from rosplat_core.splats import InputError, Splats
+from rosplat_core.upright import find_up, standing_pose
 from rosplat_lab import reference
 from rosplat_tools.lidars.scanning import Lidar, Pattern
 from rosplat_tools.simulation import body_pictures
-from rosplat_tools.simulation.robot_model import put_in_map, robot_file
+from rosplat_tools.simulation.robot_model import RobotModel, put_in_map
+from rosplat_tools.simulation.solids import solids
 from rosplat_tools.simulation.splat_camera import SplatCamera
 
 mujoco = pytest.importorskip("mujoco", reason="no mujoco here (PyPI)")
@@ -55,6 +59,7 @@ MODEL = """
 </mujoco>
 """
 CAMERAS = ("first", "lens", "flat")
+MOBILE = Path(__file__).parents[1] / "rosplat_tools" / "robots" / "mobile.xml"
 COLOURS = {"ball": (0.8, 0.2, 0.1), "box": (0.1, 0.3, 0.9), "world": (0.2, 0.9, 0.4)}
 
 
@@ -285,9 +290,8 @@ def test_an_object_falls_and_comes_to_rest() -> None:
     places = floor.positions
     above = (np.abs(places[:, :2] - (-1.2, -1.2)) < 0.3).all(axis=1) & (places[:, 2] < 0.05)
     thing = replace(floor[above], origin=np.array([0.4, 0.0, 0.5]))  # a slab of floor, in the air
-    file = robot_file("mobile", Path(__file__).parents[1] / "rosplat_tools" / "robots")
     standing = put_in_map(
-        file, floor, (0, 0, 1), (-1.2, -1.2, 0.0), resolution=0.1, objects={"slab": thing}
+        MOBILE, floor, (0, 0, 1), (-1.2, -1.2, 0.0), resolution=0.1, objects={"slab": thing}
     )
     robot = standing.robot
     began = robot.pose(robot.model.body("slab").id)[2, 3]
@@ -306,3 +310,41 @@ def test_an_object_falls_and_comes_to_rest() -> None:
     robot.reset()
     (moved,) = camera.riders.poses(robot.data, standing.map_pose).values()
     np.testing.assert_allclose(moved, np.eye(4), atol=1e-6)
+
+
+def test_a_box_dropped_in_a_trained_scene_comes_to_rest(data_folder: Path, tmp_path: Path) -> None:
+    """On the ground of playbot, which is two metres wide."""
+    splats = load(data_folder / "playbot")
+    pose = standing_pose(sample(splats), find_up(splats))
+    boxes = solids(splats, pose)
+    for x, y in ((-0.5, -0.5), (0.6, 0.4), (0.7, -0.3)):
+        (tmp_path / "box.xml").write_text(
+            f'<mujoco><worldbody><body name="box" pos="{x} {y} 0.6"><freejoint/><geom type="box" '
+            'size="0.05 0.06 0.04" mass="0.3"/></body></worldbody></mujoco>'
+        )
+        robot = RobotModel(tmp_path / "box.xml", boxes, np.eye(4))
+        robot.step(3.0)
+        rest = robot.pose(1)[:3, 3].copy()
+        assert 0 < rest[2] < 0.3
+        robot.step(3.0)
+        assert np.linalg.norm(robot.pose(1)[:3, 3] - rest) < 1e-3
+
+
+def test_the_same_commands_lead_to_the_same_pictures() -> None:
+    """To the bit."""
+    room = generate(60_000, scene="rooms")
+    films = []
+    for _ in range(2):
+        stands = put_in_map(MOBILE, room, (0, 0, 1), (-1.2, -1.2, 0.0), resolution=0.1)
+        robot = stands.robot
+        eye = SplatCamera(robot.model, robot.data, room, map_pose=stands.map_pose)
+        robot.command("linear_x", 0.3)
+        robot.command("angular_z", 1.0)
+        film = []
+        for _ in range(4):
+            robot.step(0.25)
+            film += [*eye.render("camera"), *eye.render("chase"), robot.data.qpos.copy()]
+        films.append(film)
+    for one, other in zip(*films, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert (films[0][0] != films[0][-3]).any()
