@@ -193,16 +193,18 @@ def test_python_draws_without_ros(tmp_path: Path) -> None:
 
 def test_a_body_and_a_map_in_one_picture(tmp_path: Path) -> None:
     pytest.importorskip("mujoco", reason="no mujoco here (PyPI)")
-    (block,) = blocks_of(GUIDES / "simulate.md", "python")
+    says = "print(camera.problem, rgb.shape, rgb.dtype, depth.shape, depth.dtype, rgb.max() > 50)"
+    one, many = blocks_of(GUIDES / "simulate.md", "python")
     save(tmp_path / "scene.ply", generate(3000))
-    script = block.replace(SCENE, str(tmp_path / "scene.ply")) + (
-        "print(camera.problem, rgb.shape, rgb.dtype, depth.shape, depth.dtype, rgb.max() > 50)"
-    )
+    script = "\n".join([one.replace(SCENE, str(tmp_path / "scene.ply")), says, many, says])
     run = subprocess.run(
         [sys.executable, "-c", script],
         capture_output=True, text=True, timeout=PATIENCE, check=False,
     )  # fmt: skip
-    assert run.stdout == " (360, 640, 3) uint8 (360, 640) float32 True\n", run.stderr
+    assert run.stdout == (
+        " (360, 640, 3) uint8 (360, 640) float32 True\n"
+        " (16, 360, 640, 3) uint8 (16, 360, 640) float32 True\n"
+    ), run.stderr
 
 
 def built(folder: Path, guide: Path, source: str, cmake: str) -> None:

@@ -1,11 +1,13 @@
 """A robot that lives in a map: pictures of its camera with physics between them, and lidar scans.
 
-Everything runs in one process, without ROS. The truth of ranges is that of generated rooms: the
-surfaces that their splats were laid on.
+Also many robots, each in an environment of its own, in one map; and the same pictures by
+mujoco_warp, where it is installed. Everything runs without ROS. The truth of ranges is that of
+generated rooms: the surfaces that their splats were laid on.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -18,17 +20,19 @@ from ament_index_python.packages import get_package_share_directory
 from rosplat_core.generated.rooms import Rooms
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.scenes import ROOMS
-from rosplat_core.splats import InputError
+from rosplat_core.splats import InputError, Splats
 from rosplat_core.upright import find_up
 from rosplat_lab.bench import scenes
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
+from rosplat_lab.bench.warp_camera import NAME as RIVAL
+from rosplat_lab.bench.warp_camera import WarpCamera
 from rosplat_lab.reference.room_rays import meet, off_edges
 from rosplat_tools import SplatCamera
 from rosplat_tools.lidars.scanning import Lidar, Pattern
 from rosplat_tools.simulation.physics import load_mujoco
-from rosplat_tools.simulation.robot_model import put_in_map
+from rosplat_tools.simulation.robot_model import Standing, put_in_map
 
 SIZES, QUICK_SIZES = (500_000,), (20_000,)  # of rooms
 SEED = 0
@@ -36,6 +40,9 @@ START = (-1.2, -1.2, 0.0)  # in rooms: in the middle one, between its doors [m, 
 PERIOD = 0.1  # between pictures [s]
 TURN = 1.0  # of the robot, on the spot [rad/s]
 CAMERA = "camera"  # 640x360
+ENVIRONMENTS = (1, 4, 16)
+PICTURES = ((84, 84), (320, 240), (640, 360))  # of the environments [px]
+HEADINGS = 8  # from which another draws the same pictures
 RINGS, COLUMNS = 16, 1024
 HEIGHT = 0.3  # of the lidar over the floor [m]
 TURNS = 3  # scans from places beside START
@@ -45,7 +52,8 @@ ANGLES = (0, 30, 60, 75, 90)  # of incidence [deg]
 
 
 def measure(plan: Plan) -> Iterator[Event]:
-    """Milliseconds, also of a core, of a picture and of physics; errors and time of a lidar."""
+    """Milliseconds, also of a core, of a picture and of physics; steps a second of environments;
+    errors and time of a lidar."""
     try:
         load_mujoco()
     except InputError as error:
@@ -55,22 +63,20 @@ def measure(plan: Plan) -> Iterator[Event]:
     for number, name in enumerate([*rooms, *plan.scenes]):
         yield Doing(name, number / (len(rooms) + len(plan.scenes)))
         yield from isolated(_filmed, name, plan.budget)
+        yield from isolated(_beside, name)
         if name in rooms:
             yield from isolated(_scanned, name, plan.budget)
 
 
 def _filmed(name: str, budget: Budget) -> Iterator[Event]:
     splats = scenes.load(name)
-    file = Path(get_package_share_directory("rosplat_tools")) / "robots/mobile.xml"
     began = time.perf_counter()
-    start = START if name.startswith(ROOMS) else (0.0, 0.0, 0.0)
-    stands = put_in_map(file, splats, find_up(splats), start)
+    stands = _turning(name, splats)
     put = time.perf_counter() - began
     robot = stands.robot
     eye = SplatCamera(robot.model, robot.data, splats, map_pose=stands.map_pose)
     if eye.problem:
         yield Skipped(f"bodies in pictures: {eye.problem}")
-    robot.command("angular_z", TURN)
 
     def of(quantity: str, work: Callable[[], object]) -> Iterator[Event]:
         samples, used = _timed(work, budget)
@@ -85,6 +91,67 @@ def _filmed(name: str, budget: Budget) -> Iterator[Event]:
     yield from of(f"physics of {PERIOD:g} s", lambda: robot.step(PERIOD))
     yield from of("picture and depth, with physics", live)
     yield from of("picture and depth, with bodies", lambda: eye.picture(CAMERA, bodies=True))
+    for size in PICTURES:
+        robot.model.cam_resolution[robot.model.camera(CAMERA).id] = size
+        for count in ENVIRONMENTS:
+            yield Measurement.of(
+                "steps a second", "1/s", _steps(stands, eye, count, budget), name, len(splats),
+                environments=count, pixels=f"{size[0]}x{size[1]}",
+            )  # fmt: skip
+
+
+def _turning(name: str, splats: Splats) -> Standing:
+    """A robot that turns on the spot."""
+    file = Path(get_package_share_directory("rosplat_tools")) / "robots/mobile.xml"
+    start = START if name.startswith(ROOMS) else (0.0, 0.0, 0.0)
+    stands = put_in_map(file, splats, find_up(splats), start)
+    stands.robot.command("angular_z", TURN)
+    return stands
+
+
+def _steps(stands: Standing, eye: SplatCamera, count: int, budget: Budget) -> list[float]:
+    """How many steps all environments together take in a second: a step is PERIOD and a picture."""
+    robot = stands.robot
+    model, steps = robot.model, round(PERIOD / robot.model.opt.timestep)
+    datas = [copy.copy(robot.data) for _ in range(count)]
+    for number, data in enumerate(datas):  # no two see the same
+        data.actuator("angular_z").ctrl = TURN * (1 + number / count)
+
+    def step() -> None:
+        for data in datas:
+            load_mujoco().mj_step(model, data, steps)
+            eye.render(CAMERA, data)
+
+    return [1e3 * count / passed for passed in budget.spend(lambda _: milliseconds(step))]
+
+
+def _beside(name: str) -> Iterator[Event]:
+    """Our pictures and a rival's, of the same robot at the same headings."""
+    splats = scenes.load(name)
+    stands = _turning(name, splats)
+    robot = stands.robot
+    try:
+        theirs = WarpCamera(robot.model, robot.data, splats, stands.map_pose, CAMERA)
+    except ImportError as error:
+        yield Skipped(f"the same pictures by {RIVAL}: {error} (pip install mujoco-warp)")
+        return
+    eye = SplatCamera(robot.model, robot.data, splats, map_pose=stands.map_pose)
+    work: dict[str, Callable[[], object]] = {
+        "rosplat": lambda: eye.render(CAMERA), theirs.name: theirs.render,
+    }  # fmt: skip
+    samples: dict[str, list[tuple[float, float]]] = {by: [] for by in work}
+    for number in range(HEADINGS + 1):
+        theirs.set_data(robot.data)
+        for by, draw in work.items():
+            taken = _clocked(draw)
+            if number:  # the first compiles
+                samples[by].append(taken)
+        robot.step(2 * math.pi / HEADINGS / TURN)
+    for by, pairs in samples.items():
+        passed, used = zip(*pairs, strict=True)
+        quantity = "the same pictures by"
+        yield Measurement.of(quantity, "ms", passed, name, len(splats), by=by)
+        yield Measurement.of(f"{quantity}, processor", "core-ms", used, name, len(splats), by=by)
 
 
 def _scanned(name: str, budget: Budget) -> Iterator[Event]:
@@ -127,9 +194,15 @@ def _timed(work: Callable[[], object], budget: Budget) -> tuple[list[float], lis
     used: list[float] = []
 
     def once(_: int) -> float:
-        before = time.process_time()
-        passed = milliseconds(work)
-        used.append(1e3 * (time.process_time() - before))
+        passed, of_cores = _clocked(work)
+        used.append(of_cores)
         return passed
 
     return budget.spend(once), used[1:]  # the first call warms up
+
+
+def _clocked(work: Callable[[], object]) -> tuple[float, float]:
+    """Milliseconds of a call, by the clock and of all cores together."""
+    before = time.process_time()
+    passed = milliseconds(work)
+    return passed, 1e3 * (time.process_time() - before)
