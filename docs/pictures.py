@@ -233,20 +233,31 @@ def camera(folder: Path, seconds: float) -> None:
 
 
 def simulation(scene: Path) -> None:
-    """The robot mobile in a scene: as its camera chase sees it, and what its own camera sees."""
+    """The robot mobile drives through a scene: as its camera chase sees it, and what its own camera
+    sees."""
     splats = load(scene)
-    robots = Path(get_package_share_directory("rosplat_tools")) / "robots"
-    stands = put_in_map(robots / "mobile.xml", splats, find_up(splats), (-0.75, -0.75, 0.7))
-    stands.robot.step(1.0)
-    eye = SplatCamera(stands.robot.model, stands.robot.data, splats, map_pose=stands.map_pose)
-    colours, depths = eye.render("camera")
-    near = (255 * np.exp(-depths / 1.5)).astype(np.uint8)
-    beside = [Image.fromarray(part).resize((480, 270)) for part in (colours, near)]
-    sheet = Image.new("RGB", (1440, 540))
-    sheet.paste(Image.fromarray(eye.render("chase")[0]).resize((960, 540)), (0, 0))
-    for row, part in enumerate(beside):
-        sheet.paste(part.convert("RGB"), (960, 270 * row))
-    sheet.save(DOCS / "simulate.jpg", quality=85)
+    file = Path(get_package_share_directory("rosplat_tools")) / "robots/mobile.xml"
+    stands = put_in_map(file, splats, find_up(splats), (-0.65, -0.47, 0.22))
+    robot = stands.robot
+    robot.step(0.5)  # onto its wheels
+    eye = SplatCamera(robot.model, robot.data, splats, map_pose=stands.map_pose)
+    robot.command("linear_x", 0.2)
+    robot.command("angular_z", 0.25)
+    period, film = 1 / 6, []
+    for _ in range(34):
+        robot.step(period)
+        sheet = Image.new("RGB", (720, 270))
+        colours, depths = eye.render("camera")
+        near = (255 * np.exp(-depths / 1.5)).astype(np.uint8)
+        sheet.paste(Image.fromarray(eye.render("chase")[0]).resize((480, 270)), (0, 0))
+        for row, part in enumerate((colours, near)):
+            small = Image.fromarray(part).resize((240, 135)).convert("RGB")
+            sheet.paste(small, (480, 135 * row))
+        film.append(sheet)
+    film[0].save(
+        DOCS / "simulate.webp", save_all=True, append_images=film[1:], loop=0, quality=28,
+        duration=round(1e3 * period), method=6, minimize_size=True,
+    )  # fmt: skip
 
 
 PICTURES = ("simulate", "demo", "occlusion", "selection", "channels", "camera", "rviz")
