@@ -54,12 +54,13 @@ def test_every_series_is_a_line_in_the_panel_of_its_view(orders: list[Record]) -
 def test_the_title_is_beside_the_legend(chart: charts.Chart) -> None:
     """In a chart of one panel, which is the narrowest."""
     records = [
-        record(chart.name, splats, 1.0, subject=chart.subject, method=method, degrees=1, rate=1)
+        record(chart.name, splats, 1.0, subject=chart.subject, method=method, rate=1)
         for splats in (1_000_000, 100_000)
         for method in ("simplify", "simplify, along the path")
     ]
     records = [replace(one, scene="field.ply") for one in records]
-    figure = charts.figure(replace(chart, series=charts.parameter("method")), records)
+    chart = replace(chart, series=charts.parameter("method"), over=charts.splats)
+    figure = charts.figure(chart, records)
     figure.draw_without_rendering()
     (legend,), title = figure.legends, figure._suptitle
     assert title.get_window_extent().x0 > 0

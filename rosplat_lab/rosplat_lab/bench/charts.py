@@ -36,6 +36,11 @@ def off(record: Record) -> float:
     return float(record.parameters["degrees"])
 
 
+def environments(record: Record) -> float:
+    """How many environments shared the map."""
+    return float(record.parameters["environments"])
+
+
 def splats(record: Record) -> float:
     """How many splats the record was measured on."""
     return record.splats
@@ -99,6 +104,11 @@ CHARTS = (
         "share of the starts", parameter("picture"), lambda r: Path(r.scene).stem,
         x="rotation [degrees]; 5/3 as many % of the scene's radius", over=off,
         log=False, band=False,
+    ),
+    Chart(
+        "simulate-steps", "simulate", "steps a second", "Steps of all environments together",
+        "steps a second", parameter("pixels"), lambda r: Path(r.scene).stem,
+        x="environments that share a map", over=environments, log=False, band=False,
     ),
     Chart(
         "rviz-frame", "rviz", "frame", "Frame of rviz2", "time [ms]",
