@@ -44,9 +44,12 @@ LIBRARIES = {
     "zstandard": Library(None, "zstandard"),
 }
 # What some machines have and nothing demands: cupy, cuda.core with it, and torch sort on a GPU;
-# gsplat is measured beside ours; rerun shows a map; pxr (usd-core) reads OpenUSD; mujoco moves
-# robots; rosbags reads bags where rosbag2_py isn't.
-OPTIONAL = {"cuda", "cupy", "cupyx", "gsplat", "mujoco", "pxr", "rerun", "rosbags", "torch"}
+# gsplat, and mujoco_warp with warp, are measured beside ours; rerun shows a map; pxr (usd-core)
+# reads OpenUSD; mujoco moves robots; rosbags reads bags where rosbag2_py isn't.
+OPTIONAL = {
+    "cuda", "cupy", "cupyx", "gsplat", "mujoco", "mujoco_warp", "pxr", "rerun", "rosbags", "torch",
+    "warp",
+}  # fmt: skip
 
 
 def named(package: str, *kinds: str) -> set[str]:
