@@ -25,11 +25,12 @@ from rosplat_core.generated import generate
 from rosplat_msgs.msg import GaussianArray
 from rosplat_ros.images import from_image
 from rosplat_ros.map_publisher import MapPublisher
+from rosplat_ros.qos import FIRST_VIEW
 from rosplat_testing import Listener
 from rosplat_testing.studio import Log
 from rosplat_tools.simulation.robot_model import RobotModel, robot_file
 from rosplat_tools.simulation.solids import Boxes
-from rosplat_tools.simulation.states import States
+from rosplat_tools.simulation.states import AGAIN, States
 
 pytest.importorskip("mujoco", reason="no mujoco here (PyPI)")
 
@@ -292,6 +293,32 @@ def test_markers_are_what_cameras_see_of_the_robot(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.linalg.norm(corners, axis=1), 1, atol=0.02)
     assert (mesh.color.r, tube.color.g) == (1.0, 1.0)
     assert sorted(cap.pose.position.z for cap in caps) == pytest.approx([-0.2, 0.2])
+
+
+def test_markers_come_again_for_who_is_new_and_after_a_reset(
+    node: Node, listener: Listener
+) -> None:
+    """rviz2 hears of them before TF, and forgets them when time goes back."""
+    messages = pytest.importorskip("visualization_msgs.msg", reason="no visualization_msgs here")
+    pytest.importorskip("tf2_msgs.msg", reason="no tf2_msgs here")
+    floor = Boxes(np.array([[-5.0, -5, -1]]), np.array([[5.0, 5, 0]]))
+    robot = RobotModel(robot_file("mobile", ROBOTS), floor, np.eye(4))
+    states, heard = States(node, "odom"), list[Any]()
+    states.stand(robot, "map", np.eye(4))
+    node.create_subscription(messages.MarkerArray, "robot_markers", heard.append, FIRST_VIEW)
+
+    def published(count: int) -> bool:
+        for _ in range(AGAIN[0]):
+            states.publish(Time(sec=1))
+        listener.spin_once()
+        return len(heard) >= count
+
+    listener.wait(lambda: published(2))
+    states.begin_anew()
+    again = len(heard)
+    listener.wait(lambda: published(again + len(AGAIN)))
+    assert len(heard[-1].markers) == 10
+    assert not published(again + len(AGAIN) + 1)
 
 
 def test_an_object_falls_in_a_map_of_its_own(

@@ -288,6 +288,7 @@ class Simulate(Node):
                 response.message = "begins anew in the map as it is now"
             else:
                 self._scene.robot.reset()
+                self._states.begin_anew()
         return response
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:

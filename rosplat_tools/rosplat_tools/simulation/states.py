@@ -29,6 +29,7 @@ except ImportError:
 Array = NDArray[np.float64]
 
 SENSOR = QoSProfile(depth=10)
+AGAIN = 50, 250, 1000  # states after which a new rviz2 may know of all frames: 1, 5 and 20 s
 IMU = ("orientation", "angular_velocity", "linear_acceleration")  # sensors of a model
 
 
@@ -43,6 +44,8 @@ class States:
         self._odometry = node.create_publisher(Odometry, "odom", **overridable(SENSOR))
         self._imu = node.create_publisher(Imu, "imu", **overridable(SENSOR))
         self._tf = self._tf_static = self._shapes = None
+        self._viewers = 0  # of the markers
+        self._since = 0  # states since there was a new one, or time began anew
         if TFMessage and MarkerArray:
             self._shapes = node.create_publisher(
                 MarkerArray, "robot_markers", **overridable(FIRST_VIEW)
@@ -67,6 +70,21 @@ class States:
             self._tf_static.publish(TFMessage(transforms=[stands, *self.fixed(robot)]))
         if self._shapes:
             self._shapes.publish(markers_of(robot))
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Simulated time goes back: rviz2 forgets all markers then, which come again."""
+        self._since = 0
+
+    def _show_again(self) -> None:
+        """Publishes the markers once more if it is time. A new rviz2 gets them before TF, and calls
+        them an error until they come again."""
+        assert self._robot and self._shapes
+        viewers = self._shapes.get_subscription_count()
+        self._since = 0 if viewers > self._viewers else self._since + 1
+        self._viewers = viewers
+        if self._since in AGAIN:
+            self._shapes.publish(markers_of(self._robot))
 
     def frame_of(self, body: int) -> str:
         """The frame of a body, by its number."""
@@ -88,6 +106,8 @@ class States:
                     effort=robot.data.qfrc_actuator[speeds].tolist(),
                 )
             )
+        if self._shapes:
+            self._show_again()
         if self._tf:
             self._tf.publish(TFMessage(transforms=self.transforms(stamp)))
         if robot.follows_velocities:
