@@ -13,14 +13,15 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from ament_index_python.packages import get_package_share_directory
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import TransformStamped, Twist
 from PIL import Image, ImageGrab
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
-from rosplat_core import find_up, load
+from rosplat_core import find_up, load, save
 from rosplat_lab.driven_rviz import DrivenRviz
 from rosplat_ros.program.processes import Processes, quoted
 from rosplat_tools import SplatCamera
@@ -254,13 +255,72 @@ def simulation(scene: Path) -> None:
             small = Image.fromarray(part).resize((240, 135)).convert("RGB")
             sheet.paste(small, (480, 135 * row))
         film.append(sheet)
+    show(film, "simulate.webp", period, quality=28)
+
+
+def push(folder: Path, scene: Path, seconds: float) -> None:
+    """A film of rviz2: the figure that hovers in playbot falls, and mobile drives into it."""
+    whole = load(scene)
+    figure = whole.positions[:, 1] + whole.origin[1] < -0.2  # y is down
+    save(folder / "rest.ply", whole[~figure], overwrite=True)
+    save(folder / "figure.ply", whole[figure], overwrite=True)
+    share = Path(get_package_share_directory("rviz_gaussian_plugin"))
+    before, name, after = (share / "config/simulate.rviz").read_text().partition("Name: Objects\n")
+    rclpy.init()
+    node = Node("pictures")
+    velocities = node.create_publisher(Twist, "cmd_vel", 10)
+
+    def call(kind: type, service: str, **request: object) -> None:
+        client = node.create_client(kind, f"simulate/{service}")
+        client.wait_for_service()
+        rclpy.spin_until_future_complete(node, client.call_async(kind.Request(**request)))
+
+    period, film = 1 / 6, []
+    forward = Twist()
+    forward.linear.x = 0.3
+    with Processes(folder) as processes:
+        processes.node(
+            "rosplat_tools", "simulate", "--ros-args", "-p", "start:=[-0.65,-0.47,0.6]",
+            "-p", f"objects:=[{quoted(folder / 'figure.ply')}]",
+        )  # fmt: skip
+        call(SetBool, "pause", data=True)
+        processes.node(
+            "rosplat_tools", "ply_publisher", "--ros-args", "-p", "frame_id:=scene",
+            "-p", "upright_frame:=map", "-p", f"path:={quoted(folder / 'rest.ply')}",
+        )  # fmt: skip
+        config = before + name + after.replace("false", "true", 2)  # as with a click
+        rviz = DrivenRviz(processes, config, "--ros-args", "-p", "use_sim_time:=true")
+        time.sleep(seconds)
+        for axis, value in (("X", 0.1), ("Y", 0.1), ("Z", 0.25)):
+            rviz.set("Focal Point", axis, value=value, root="view")
+        rviz.set("Distance", value=2.9, root="view")
+        for _ in range(10):  # so that TF has the robot
+            call(Trigger, "step")
+        time.sleep(seconds / 4)
+        call(SetBool, "pause", data=False)
+        began = time.monotonic()
+        for number in range(40):
+            time.sleep(max(0, began + number * period - time.monotonic()))
+            if number > 8:
+                velocities.publish(forward)
+            picture = ImageGrab.grab(xdisplay=os.environ["DISPLAY"]).convert("RGB")
+            film.append(picture.resize((840, 540)))
+        processes.check()
+    node.destroy_node()
+    rclpy.shutdown()
+    show(film, "push.webp", period, quality=45)
+
+
+def show(film: list[Image.Image], name: str, period: float, quality: int) -> None:
+    """A film into docs/. period: between two pictures [s]. quality: 0 to 100."""
     film[0].save(
-        DOCS / "simulate.webp", save_all=True, append_images=film[1:], loop=0, quality=28,
+        DOCS / name, save_all=True, append_images=film[1:], loop=0, quality=quality,
         duration=round(1e3 * period), method=6, minimize_size=True,
     )  # fmt: skip
+    print(f"wrote {DOCS / name}, {(DOCS / name).stat().st_size >> 10} KiB")
 
 
-PICTURES = ("simulate", "demo", "occlusion", "selection", "channels", "camera", "rviz")
+PICTURES = ("simulate", "push", "demo", "occlusion", "selection", "channels", "camera", "rviz")
 
 
 def main() -> None:
@@ -279,6 +339,8 @@ def main() -> None:
         simulation(options.scene)
     os.environ.pop("DISPLAY", None)
     with ensure_display(*SIZE):
+        if "push" in options.only:
+            push(folder, options.scene, options.seconds)
         if "occlusion" in options.only:
             occlusion(folder, options.scene, options.seconds)
         if "selection" in options.only:
