@@ -318,15 +318,15 @@ class Occupancy(Node):
         return distances.astype(np.float32), gradients.astype(np.float32)
 
     def _pose_of(self, frame: str) -> NDArray[np.float64]:
-        """(4, 4) of a frame in that of what is published [m]. Raises InputError, FrameError."""
+        """(4, 4) of a frame in that of what is published [m]. Raises InputError."""
         published = self._frame or self._map.header.frame_id
         if frame in ("", published):
             return np.eye(4)
         try:
             self._frames = self._frames or Frames(self)
-        except InputError as error:
-            raise InputError(f"points in '{shown(frame)}' need TF: {error}") from error
-        return self._frames.pose(frame, published)[1]
+            return self._frames.pose(frame, published)[1]
+        except (InputError, FrameError) as error:
+            raise InputError(f"points in '{shown(frame)}': {error}") from error
 
     def _whole_field(self) -> DistanceField:
         """The distances around all of the map as it is now. Raises InputError."""
