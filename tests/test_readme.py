@@ -58,6 +58,8 @@ import numpy as np
 ids = slots = labels = confidences = np.arange(1000)
 pose = np.eye(4)
 corrected = {submap: pose for submap in (1, 2, 3)}
+from rosplat_core import Camera
+camera = Camera(0, 64, 48, 50, 50, 32, 24, pose)
 """
 SAYS = """
 slots, splats = publisher.snapshot()

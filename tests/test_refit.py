@@ -9,13 +9,13 @@ import pytest
 from numpy.typing import NDArray
 
 from rosplat_core._core import Refit, RefitRates
-from rosplat_core.cameras import Camera, look_at
+from rosplat_core.cameras import Camera, look_at, resized
 from rosplat_core.generated import generate
 from rosplat_core.models import Model
 from rosplat_core.rendering import CpuRenderer, Instructions, posed
 from rosplat_core.simplification.judging import Judge, Trial
 from rosplat_core.simplification.refitting import RATES, picture
-from rosplat_core.simplification.views import Around, resized
+from rosplat_core.simplification.views import Around
 from rosplat_core.splats import Splats
 from rosplat_lab.reference import render
 

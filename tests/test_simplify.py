@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rosplat_core.cameras import Camera, look_at, orbit
+from rosplat_core.cameras import Camera, look_at, orbit, resized
 from rosplat_core.formats import load, save
 from rosplat_core.generated import generate
 from rosplat_core.rendering import CpuRenderer
@@ -26,7 +26,7 @@ from rosplat_core.simplification import search, simplify
 from rosplat_core.simplification.judging import Judge, Trial
 from rosplat_core.simplification.merging import find_pairs, merge
 from rosplat_core.simplification.search import Learnt, Simplification
-from rosplat_core.simplification.views import Around, resized, whereabouts
+from rosplat_core.simplification.views import Around, whereabouts
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import InputError, Splats
 from rosplat_lab.simplify.command import main

@@ -179,6 +179,16 @@ def _camera(entry: Any, where: str) -> Camera:
         raise InputError(f"{where}: {shown(str(error), 300)}") from error
 
 
+def resized(camera: Camera, pixels: int) -> Camera:
+    """The camera with a picture of about `pixels` pixels at most, of the same view."""
+    factor = min(1.0, math.sqrt(pixels / (camera.width * camera.height)))
+    return replace(
+        camera,
+        width=max(1, round(factor * camera.width)), height=max(1, round(factor * camera.height)),
+        fx=factor * camera.fx, fy=factor * camera.fy, cx=factor * camera.cx, cy=factor * camera.cy,
+    )  # fmt: skip
+
+
 def picture_of(path: Path, camera: Camera) -> Path | None:
     """The picture that a camera of a file, or of COLMAP's folder, took; None without one."""
     folder = path if path.is_dir() else path.parent

@@ -42,6 +42,16 @@ def batch_of(splats: Splats, part: slice = slice(None), **fields: Any) -> Simple
     return SimpleNamespace(**values | fields)
 
 
+def received(batch: PublishedBatch) -> SimpleNamespace:
+    """A publisher's batch, for `apply`."""
+    return SimpleNamespace(
+        **{name: getattr(batch, name) for name in batch.FIELDS},
+        origin=_point(batch.origin),
+        groups=np.array(list(batch.poses), np.uint32),
+        poses=[_pose(pose) for pose in batch.poses.values()],
+    )
+
+
 def move_of(poses: Mapping[int, Sequence[float]], **fields: Any) -> SimpleNamespace:
     """A batch that moves groups, for `apply`. poses: position x y z [m], quaternion x y z w."""
     return SimpleNamespace(

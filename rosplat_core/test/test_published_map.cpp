@@ -488,5 +488,18 @@ TEST(PublishedMap, AppendsToFreeSlotsOfAGroupsBlocks) {
   EXPECT_THROW(map.append(splatsOf(1), 1u << 20), std::invalid_argument);
 }
 
+TEST(PublishedMap, CopiesWhatAGroupHasInSlots) {
+  std::vector<Batch> sent;
+  PublishedMap map(1'000'000, "none", wireTo(sent));
+  map.upsert(0, splatsOf(5, 2), 0);
+  map.upsert(kBlock, splatsOf(5, 3), 1);
+  map.erase({2});
+  const Batch batch = map.copy({0, 2, 4, kBlock, 7 * kBlock}, 0);
+  EXPECT_EQ(batch.slots, (Slots{0, 4}));
+  EXPECT_EQ(batch.count, 2u);
+  EXPECT_EQ(xOf(batch, 1), 2);
+  EXPECT_EQ(map.copy({2}, 0).count, 0u);
+}
+
 }  // namespace
 }  // namespace rosplat

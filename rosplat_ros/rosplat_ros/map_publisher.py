@@ -20,6 +20,8 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import Header
 
+from rosplat_core.bounded_map import BoundedMap
+from rosplat_core.cameras import Camera
 from rosplat_core.maps import PublishedBatch, PublishedMap
 from rosplat_core.splats import PackedSplats, Splats, check_splats, concatenate
 from rosplat_core.view import frame_at
@@ -36,6 +38,7 @@ CHUNK_BYTES = 8_000_000
 # How long `repeat` waits for a subscriber that acknowledges nothing [s]. A subscriber that is gone
 # has been given up by the middleware by then.
 PATIENCE = 30.0
+TELL_BUDGET_EVERY = 30.0  # what a budget costs [s]
 
 Progress = Callable[[int], None]
 """Called with the number of splats that were sent since the last call. An exception from it ends
@@ -61,6 +64,10 @@ class MapPublisher:
     loop closure sends a pose for each group and no splats. A group that was never placed is at
     the identity.
 
+    With a budget, receivers hold that many splats at most: those that views need most, which
+    `look_from` tells. The others stay with the publisher, and come back when a view needs them.
+    `snapshot`, `len`, slots and edits are of the whole map; receivers number slots anew.
+
     Calls may come from any thread and run one after another. They return when the middleware has
     taken the batches. If sending an edit raises an exception, the edit stays part of the map:
     receivers of the next batch pull it.
@@ -76,24 +83,33 @@ class MapPublisher:
         topic: str = "gaussians",
         chunk_bytes: int = CHUNK_BYTES,
         compression: str = NONE,
+        budget: int | None = None,
     ) -> None:
         """Advertises the topic and its services. The map is empty, and nothing is sent yet.
 
         chunk_bytes: the most bytes of a message's arrays. compression: NONE, or another of
-        messages.COMPRESSIONS for subscribers across a network. Raises ValueError for an unknown
-        compression, or a chunk_bytes under 1.
+        messages.COMPRESSIONS for subscribers across a network. budget: the most splats that
+        receivers hold, by default all. Raises ValueError for an unknown compression, a chunk_bytes
+        under 1, or a budget that isn't 1 to MAX_SLOTS.
         """
         self._node = node
         self._topic = node.resolve_topic_name(topic)
         self._wire = _Wire(node, topic)
         self.frame_id = frame_id
-        self._map = PublishedMap(
+        arguments = (
             _whole("chunk_bytes", chunk_bytes, 2**63 - 1),
             compression,
             self._wire.send,
             self._wire.warn,
             self._wire.settle,
         )
+        self._map: PublishedMap | BoundedMap
+        if budget is None:
+            self._map = PublishedMap(*arguments)
+        else:
+            budget = _whole("budget", budget, GaussianArray.MAX_SLOTS)
+            self._map = BoundedMap(*arguments, budget)
+        self._told_budget = -TELL_BUDGET_EVERY  # when the log last told its cost [s]
         self._wire.advertise()
         pulls = PullServer(
             node,
@@ -241,7 +257,9 @@ class MapPublisher:
         """
         check_splats(splats)
         when = _checked_stamp(stamp)
-        return self._map.append(splats, _whole("group", group, GaussianArray.MAX_GROUPS - 1), when)
+        group = _whole("group", group, GaussianArray.MAX_GROUPS - 1)
+        slots: NDArray[np.uint32] = self._map.append(splats, group, when)
+        return slots
 
     def delete(self, slots: range | ArrayLike, *, stamp: Time | None = None) -> None:
         """Empties slots. Raises ValueError if a slot is named twice or isn't below MAX_SLOTS."""
@@ -269,10 +287,42 @@ class MapPublisher:
             values[number] = (*position, *orientation)
         self._map.move(values, when)
 
+    def look_from(self, camera: Camera) -> None:
+        """Spends the budget on what a camera in the map's frame sees, and on what others saw.
+
+        The newest view counts most, but what any view has needed counts for more than what none
+        has. Call it with each frame: cameras are passed over where they would take more than a
+        quarter of the time. Raises ValueError if the publisher has no budget.
+        """
+        if not isinstance(camera, Camera):
+            raise TypeError(f"camera: expected a rosplat_core.Camera, got {type(camera).__name__}")
+        bounded, now = self._bounded(), time.monotonic()
+        if not bounded.look_from(camera) or now < self._told_budget + TELL_BUDGET_EVERY:
+            return
+        if (count := bounded.published()) < len(bounded):
+            self._told_budget = now
+            self._wire.tell(
+                f"{count:,} of {len(bounded):,} splats are published: the last views have "
+                f"{bounded.psnr():.1f} dB of the whole map's"
+            )
+
+    def budget_psnr(self) -> float:
+        """What the budget costs: PSNR of the published map at the last four views. [dB]
+
+        Against the whole map, over what shows it, in colours of band 0; 150 where both are equal,
+        NaN before the first view. Draws both. Raises ValueError if the publisher has no budget.
+        """
+        return self._bounded().psnr()
+
+    def _bounded(self) -> BoundedMap:
+        if not isinstance(self._map, BoundedMap):
+            raise ValueError("budget: the publisher has none, and publishes all splats")
+        return self._map
+
     def _on_repeat(self, _: RepeatMap.Request, response: RepeatMap.Response) -> RepeatMap.Response:
         try:
             self.repeat()
-            response.success, response.splats = True, len(self)
+            response.success, response.splats = True, _published(self._map)
         except Exception as error:  # no request may end the node
             response.message = str(error) or "not enough memory"
         return response
@@ -283,8 +333,16 @@ def _close(*parts: _Wire | ServiceThread) -> None:
         part.close()
 
 
+def _published(map_: PublishedMap | BoundedMap) -> int:
+    """Number of splats that receivers hold."""
+    return map_.published() if isinstance(map_, BoundedMap) else len(map_)
+
+
 def _answer(
-    published: PublishedMap, wire: _Wire, request: PullMap.Request, response: PullMap.Response
+    published: PublishedMap | BoundedMap,
+    wire: _Wire,
+    request: PullMap.Request,
+    response: PullMap.Response,
 ) -> PullMap.Response:
     """Answers a pull with the batches that it asks for."""
     if request.map_id not in ("", published.map_id) and wire.rivals:
@@ -305,11 +363,12 @@ def _answer(
     return response
 
 
-def _report(published: PublishedMap, wire: _Wire) -> Report:
+def _report(published: PublishedMap | BoundedMap, wire: _Wire) -> Report:
     values = {
         "Map": published.map_id,
         "Revision": published.revision(),
-        "Splats": len(published),
+        "Splats": _published(published),
+        "Splats hidden": len(published) - _published(published),
         "Subscribers": wire.subscribers,
         "Bytes sent": wire.sent_bytes + wire.pulled_bytes,
         "Pulls answered": wire.pulls,
@@ -381,6 +440,9 @@ class _Wire:
     def rivals(self) -> bool:
         """Whether the topic has other publishers."""
         return bool(self._node.count_publishers(self._topic) > 1)
+
+    def tell(self, text: str) -> None:
+        self._node.get_logger().info(f"{self._topic}: {text}")
 
     def warn(self, text: str) -> None:
         self._node.get_logger().warning(f"{self._topic}: {text}", throttle_duration_sec=5.0)

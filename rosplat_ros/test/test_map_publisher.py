@@ -1,6 +1,7 @@
 """The map's topic over DDS: whoever joins, and whenever, rebuilds the publisher's map."""
 
 import gc
+import re
 import signal
 import subprocess
 import sys
@@ -26,7 +27,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 
-from rosplat_core import _core, formats, payload
+from rosplat_core import _core, bounded_map, formats, payload
+from rosplat_core.cameras import Camera, look_at
 from rosplat_core.formats import IntoPacked
 from rosplat_core.models import Model
 from rosplat_core.scenes import load_scene_into
@@ -892,6 +894,84 @@ def test_diagnostics_tell_of_the_map_though_nobody_spins_its_node(
         other.destroy_publisher(rival)
     assert not [p for p in node.publishers if p.topic_name == "/diagnostics"]
     other.destroy_node()
+
+
+SEEN = Camera(0, 160, 120, 150, 150, 80, 60, look_at((0, -8, 0), (0, 0, 0)))
+
+
+def test_receivers_of_any_time_hold_the_budget_and_no_more(
+    node: Node,
+    random_splats: Maker,
+    listener: Listener,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(bounded_map, "REST", 0)
+    said: list[str] = []
+    with MapPublisher(node, budget=1500) as publisher:
+        monkeypatch.setattr(publisher._wire, "tell", said.append)
+        for group in range(3):
+            slots = publisher.append(random_splats(1000, 2, seed=group), group=group)
+            publisher.look_from(SEEN)
+        publisher.move({1: Pose(position=Point(z=500.0))})
+        publisher.delete(slots[:10])
+        publisher.look_from(SEEN)
+        assert (len(publisher), len(publisher.snapshot()[0])) == (2990, 2990)
+        listener.wait(
+            lambda: listener.batches and listener.batches[-1].revision == publisher.revision
+        )
+        assert listener.map
+        assert len(listener.map) == 1500
+        with receiver(node, publisher.revision, tmp_path / "late.npz") as late:
+            pass
+        slots, splats = listener.map.snapshot()
+        np.testing.assert_array_equal(late["slots"], slots)
+        np.testing.assert_array_equal(late["sh"], splats.sh)
+        known = {position.tobytes() for position in publisher.snapshot()[1].positions}
+        assert all(position.tobytes() in known for position in splats.positions)
+        assert publisher.budget_psnr() > 20
+        (line,) = said
+        assert re.fullmatch(r"1,500 of 2,\d+ splats are published: .* [\d.]+ dB of .*", line)
+        response = listener.call(RepeatMap, "gaussians/repeat")
+        assert (response.success, response.splats) == (True, 1500)
+
+
+def test_a_replaced_map_is_complete_with_its_budget(
+    node: Node, random_splats: Maker, listener: Listener
+) -> None:
+    sent: list[int] = []
+    with MapPublisher(node, budget=700) as publisher:
+        publisher.replace(packed(random_splats(2000, 1)), progress=sent.append)
+        listener.wait_for(700)
+        assert sum(sent) == 700
+        assert {batch.expected_slots for batch in listener.batches} == {700}
+
+
+@pytest.mark.parametrize("budget", [0, -1, 1.5, 2**25 + 1])
+def test_a_budget_that_is_none_is_refused(node: Node, budget: Any) -> None:
+    with pytest.raises(ValueError, match="budget: "):
+        MapPublisher(node, budget=budget)
+
+
+def test_edits_of_nothing_cost_no_budget(node: Node, random_splats: Maker) -> None:
+    none = random_splats(0)
+    with MapPublisher(node, budget=3) as publisher:
+        publisher.replace(none)
+        publisher.look_from(SEEN)
+        publisher.upsert(range(0), none)
+        publisher.upsert([], none)
+        publisher.append(none)
+        publisher.delete(range(0))
+        publisher.delete([])
+        assert len(publisher) == 0
+
+
+def test_who_has_no_budget_looks_from_nowhere(node: Node) -> None:
+    publisher = MapPublisher(node)
+    with pytest.raises(ValueError, match="budget: the publisher has none"):
+        publisher.look_from(SEEN)
+    with pytest.raises(TypeError, match=r"camera: expected a rosplat_core\.Camera, got NoneType"):
+        publisher.look_from(None)  # type: ignore[arg-type]
 
 
 def test_a_parameter_overrides_qos_of_each_publisher_in_turn(random_splats: Maker) -> None:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.cameras import Camera
+from rosplat_core.cameras import Camera, resized
 from rosplat_core.rendering import MOST_PSNR, psnr_of
 from rosplat_core.simplification.judging import (
     LEAST_SHOWN,
@@ -37,7 +37,7 @@ from rosplat_core.simplification.merging import (
     merge,
 )
 from rosplat_core.simplification.refitting import MOST_STEPS, refit
-from rosplat_core.simplification.views import HEIGHT, WIDTH, Along, Around, Views, resized
+from rosplat_core.simplification.views import HEIGHT, WIDTH, Along, Around, Views
 from rosplat_core.splats import InputError, Splats
 
 PIXELS = 640 * 360  # of a view for contributions: more views gain more than more pixels

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from rosplat_core.cameras import Camera, Place, look_at, place
+from rosplat_core.cameras import Camera, Place, look_at, place, resized
 from rosplat_core.first_look import sample, views_within
 from rosplat_core.simplification.merging import in_chunks
 from rosplat_core.splats import InputError, Splats
@@ -203,16 +203,6 @@ class Along:
             moved[:3, 3] = -moved[:3, :3] @ (camera.position + aside)
             cameras.append(replace(camera, world_to_camera=moved))
         return cameras
-
-
-def resized(camera: Camera, pixels: int) -> Camera:
-    """The camera with a picture of about `pixels` pixels at most, of the same view."""
-    factor = min(1.0, math.sqrt(pixels / (camera.width * camera.height)))
-    return replace(
-        camera,
-        width=max(1, round(factor * camera.width)), height=max(1, round(factor * camera.height)),
-        fx=factor * camera.fx, fy=factor * camera.fy, cx=factor * camera.cx, cy=factor * camera.cy,
-    )  # fmt: skip
 
 
 def _clearances(

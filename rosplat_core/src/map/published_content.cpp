@@ -389,8 +389,9 @@ std::map<std::uint32_t, std::vector<std::uint32_t>> PublishedContent::beginSendi
 }
 
 bool PublishedContent::holds(std::uint32_t slot, std::uint32_t group) const {
-  const Page& page = pages_.at(slot / kPageSlots);
-  return page.used[slot % kPageSlots] && page.group == group;
+  const auto page = pages_.find(slot / kPageSlots);
+  return page != pages_.end() && page->second.used[slot % kPageSlots] &&
+         page->second.group == group;
 }
 
 void PublishedContent::touch(const NamedSlots& slots, std::uint64_t revision) {

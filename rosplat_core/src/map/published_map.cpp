@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <random>
 #include <stdexcept>
 
@@ -102,6 +103,15 @@ std::vector<PublishedMap::Group> PublishedMap::groups() const {
 PublishedMap::Poses PublishedMap::poses() const {
   const Lock lock(mutex_);
   return map_->placedAfter(0);
+}
+
+PublishedMap::Batch PublishedMap::copy(const Slots& slots, std::uint32_t group) const {
+  const Lock lock(mutex_);
+  Slots held;
+  std::copy_if(slots.begin(), slots.end(), std::back_inserter(held),
+               [&](std::uint32_t slot) { return map_->holds(slot, group); });
+  return writing(GaussianBatch::UPSERT, {held.data(), held.size()}, group, map_->shDegree(),
+                 map_->channels(), std::nullopt);
 }
 
 // --- Edits ---------------------------------------------------------------------------------------

@@ -139,6 +139,14 @@ void definePublishing(py::module_& module) {
              return valuesOf(poses);
            })
       .def(
+          "copy",
+          [](const PublishedMap& map, const Array<std::uint32_t>& slots, std::uint32_t group) {
+            const auto list = listOf(slots);
+            const py::gil_scoped_release free;
+            return map.copy(list, group);
+          },
+          "slots"_a, "group"_a)
+      .def(
           "replace",
           [](PublishedMap& map, const py::object& splats, std::optional<std::uint32_t> expected,
              const Time& stamp) {

@@ -98,6 +98,8 @@ class PublishedMap {
   std::vector<Group> groups() const;
   // Where groups were placed.
   Poses poses() const;
+  // The splats that a group has in slots, as an UPSERT would send them.
+  Batch copy(const Slots& slots, std::uint32_t group) const;
 
   // Replaces the map by splats, in slots 0 to n - 1 and group 0, and forgets the poses of groups.
   // expected: as of expect(), by default n without the splats that are left out. If sending fails,
