@@ -95,7 +95,8 @@ class MapPull {
       return step;
     }
     if (repeats(label, now)) {
-      history_until_ = now + kHistory;
+      // The batch that was heard last ends it: the next one begins anew, as of a bag in a loop.
+      history_until_ = label.revision == heard_ ? kNever : now + kHistory;
       followHistory(std::move(heard), step);
       return step;
     }
