@@ -159,3 +159,12 @@ def test_broken_layouts(
     PlyData(elements, byte_order="<").write(path)
     with pytest.raises(InputError, match=rf"a\.ply: {reason}"):
         load(path)
+
+
+def test_an_element_of_no_harmonics_as_gsplat_writes_it(
+    random_splats: Make, tmp_path: Path
+) -> None:
+    save(tmp_path / "a.compressed.ply", random_splats(3, 0))
+    head, end, rows = (tmp_path / "a.compressed.ply").read_bytes().partition(b"end_header\n")
+    (tmp_path / "b.compressed.ply").write_bytes(head + b"element sh 3\n" + end + rows)
+    assert len(load(tmp_path / "b.compressed.ply")) == 3

@@ -224,6 +224,8 @@ def test_2d_gaussians_are_flat(random_splats: Make, tmp_path: Path) -> None:
         (["splatrendermode: default"], Model.EWA),
         (["SplatRenderMode: ray"], Model.RAY),
         (["SplatRenderMode: disc"], Model.DISC),
+        (["SplatRenderMode: 2dgs"], Model.DISC),
+        (["antialiased 1", "SplatRenderMode: unheard of"], Model.EWA_ANTIALIASED),
         (["antialiased 1"], Model.EWA_ANTIALIASED),
         (["antialiased 0"], Model.EWA),
         (["antialiased 1", "SplatRenderMode: default"], Model.EWA),
@@ -503,3 +505,42 @@ def test_a_trained_scene(scene: Callable[[str], Path]) -> None:
     splats = load(scene("train-1000.ply"))
     assert (len(splats), splats.sh_degree) == (1000, 3)
     np.testing.assert_allclose(np.linalg.norm(splats.orientations, axis=1), 1, rtol=1e-5)
+
+
+@pytest.mark.parametrize("before", ["scalar_", "scal_", "scalar_scal_"])
+def test_fields_that_cloudcompare_kept_are_read(
+    random_splats: Make, tmp_path: Path, before: str
+) -> None:
+    splats = random_splats(5, 1)
+    save(tmp_path / "a.ply", splats)
+    rows = rows_of(tmp_path / "a.ply")
+    kept = {*ply.POSITION, *ply.NORMAL}
+    rows.dtype.names = tuple(n if n in kept else before + n for n in rows.dtype.names or ())
+    points = np.zeros(5, "u1")  # its colours of points, beside those of the splats
+    write_rows(tmp_path / "b.ply", structured.append_fields(rows, "red", points, usemask=False))
+    assert_same(load(tmp_path / "b.ply"), splats)
+
+
+def test_other_names_of_the_same_are_read(random_splats: Make, tmp_path: Path) -> None:
+    splats = random_splats(5, 1)
+    save(tmp_path / "a.ply", splats)
+    rows = rows_of(tmp_path / "a.ply")
+    others = {usual: other for other, usual in ply.SAME.items()}
+    rows.dtype.names = tuple(others.get(name, name) for name in rows.dtype.names or ())
+    write_rows(tmp_path / "b.ply", rows)
+    assert_same(load(tmp_path / "b.ply"), splats)
+
+
+@pytest.mark.parametrize("name", ["trbf_center", "scale_t"])
+def test_scenes_in_motion_are_named(random_splats: Make, tmp_path: Path, name: str) -> None:
+    save(tmp_path / "a.ply", replace(random_splats(5), channels={name: np.zeros(5)}))
+    with pytest.raises(InputError, match=f"a scene in motion, by its property {name}"):
+        load(tmp_path / "a.ply")
+
+
+def test_blanks_at_the_ends_of_a_header_s_lines(random_splats: Make, tmp_path: Path) -> None:
+    splats = random_splats(5)
+    save(tmp_path / "a.ply", splats)
+    head, end, rows = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")
+    (tmp_path / "b.ply").write_bytes((head + end).replace(b"\n", b" \t\n") + rows)
+    assert_same(load(tmp_path / "b.ply"), splats)

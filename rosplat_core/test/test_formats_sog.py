@@ -285,6 +285,12 @@ def test_round_trip(
     assert np.abs(back.sh - written.sh).mean() < 0.05
 
 
+def test_splat_transform_s_word_for_discs(tmp_path: Path) -> None:
+    meta = write_scene(tmp_path)
+    (tmp_path / "meta.json").write_text(json.dumps(meta | {"model": "2dgs"}))
+    assert load(tmp_path).model is Model.DISC
+
+
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_small_scenes_are_written(
     random_splats: Callable[..., Splats], tmp_path: Path, count: int

@@ -79,7 +79,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     colored = RANGES[2][0] in (chunks.dtype.names or ())
     color_range = _range(path, chunks, RANGES[2]) if colored else None
     rest, bands = None, 0
-    if "sh" in file.elements:
+    if "sh" in file.elements and file.elements["sh"].dtype.names:  # gsplat's has none at degree 0
         rest = file.rows("sh")
         names = rest_names(path, rest, warn)
         bands = len(names) // 3

@@ -6,13 +6,14 @@ Further properties are channels, a trainer's label say.
 
 Descendants write less, or otherwise: one scale for spheres (MonoGS), two for discs (2DGS); red
 green blue for f_dc_* (nerfstudio); more bands than three; half floats, some as 16-bit integers; the
-vertical in a comment (Brush, nerfstudio).
+vertical in a comment (Brush, nerfstudio); scalar_f_dc_0 and the like (CloudCompare).
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -57,14 +58,26 @@ ROTATION = ["rot_0", "rot_1", "rot_2", "rot_3"]
 # Colours in place of COLOR; beside it, they are for viewers of points.
 RGB = (["red", "green", "blue"], ["r", "g", "b"])
 
-# Brush's comment, `SplatRenderMode: mip` for maps trained as Mip-Splatting; splat-transform reads
-# and writes it too. The other models' words are ours.
+# Names in place of a PLY's. CloudCompare puts `scalar_` before those of fields that it keeps, some
+# converters for it `scal_`.
+SAME = {
+    **{f"{word}_{i}": axis for word in ("position", "xyz") for i, axis in enumerate("xyz")},
+    **{f"position_{axis}": axis for axis in "xyz"},
+    **{f"rot_{axis}": f"rot_{i}" for i, axis in enumerate("wxyz")},
+    **{f"rotation_{i}": f"rot_{i}" for i in range(4)},
+    **{f"scale_{axis}": f"scale_{i}" for i, axis in enumerate("xyz")},
+}
+_BEFORE = re.compile(r"(?:scal(?:ar)?_)+")
+
+# Brush's comment, `SplatRenderMode: mip` for maps trained as Mip-Splatting. splat-transform reads
+# and writes it too, and has 2dgs. The other models' words are ours.
 COMMENT = "SplatRenderMode:"
 WORDS = {
     "default": Model.EWA,
     "mip": Model.EWA_ANTIALIASED,
     "ray": Model.RAY,
     "disc": Model.DISC,
+    "2dgs": Model.DISC,
 }
 
 # Brush's and nerfstudio's comment on the vertical: a letter, or three numbers.
@@ -76,6 +89,9 @@ FILTER = "filter_3D"
 
 # Of Scaffold-GS, whose anchors only its networks can turn into splats.
 ANCHOR = "f_anchor_feat_0"
+
+# Of scenes in motion: SpacetimeGaussians' and STG's, 4DGS's (Yang et al. 2024).
+MOVING = ("trbf_center", "scale_t")
 
 HIGHEST_DEGREE = 10  # of harmonics
 
@@ -90,7 +106,7 @@ TINY = np.finfo(np.float32).tiny
 
 def recognises(path: Path, head: bytes) -> bool:
     """Whether a file begins like a PLY."""
-    return head[:4] in (b"ply\n", b"ply\r")
+    return re.match(rb"ply[ \t]*[\r\n]", head) is not None
 
 
 def axes(path: Path) -> Axes:
@@ -107,8 +123,10 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     if "vertex" not in file.elements:
         names = shown(", ".join(file.elements) or "none")
         raise InputError(f"{path}: not a Gaussian splat: no element vertex, only {names}")
+    element = file.elements["vertex"]
+    element.dtype.names = plain_names(element.dtype.names or ())
     if not file.is_text:
-        file.elements["vertex"] = _with_halves(file.elements["vertex"])
+        file.elements["vertex"] = _with_halves(element)
     claim(path, file.elements["vertex"].length, 0, size_of(path))
     parsing = PARSING if file.is_text else 0.0
     rows = file.rows("vertex", share(progress, 0, parsing))
@@ -135,6 +153,10 @@ def from_rows(
     have = rows.dtype.names or ()
     if ANCHOR in have:
         raise InputError(f"{path}: anchors of Scaffold-GS, whose networks make splats of them")
+    if moving := next((name for name in MOVING if name in have), ""):
+        raise InputError(
+            f"{path}: a scene in motion, by its property {moving}: only still ones are read"
+        )
     count = 3 if SCALE[2] in have else 2 if SCALE[1] in have else 1
     scale: list[str] = SCALE[:count]
     rotation: list[str] = [] if count == 1 and ROTATION[0] not in have else ROTATION
@@ -211,6 +233,18 @@ def to_rows(splats: Splats) -> NDArray[np.void]:
     return rows
 
 
+def plain_names(names: Sequence[str]) -> tuple[str, ...]:
+    """A PLY's names in the place of others for the same, each once at most."""
+
+    def plain(name: str) -> str:
+        bare = _BEFORE.sub("", name, count=1) if _BEFORE.match(name) else name
+        usual = SAME.get(bare, bare)
+        return usual if _has_meaning(usual) and usual not in names else name
+
+    found = tuple(map(plain, names))
+    return found if len(set(found)) == len(found) else tuple(names)
+
+
 def _has_meaning(name: str) -> bool:
     """Whether a property of this name has a meaning, and so is no channel."""
     known = [*POSITION, *NORMAL, *COLOR, "opacity", *SCALE, *ROTATION, FILTER, *RGB[0], "alpha"]
@@ -269,7 +303,7 @@ def _white(rows: Rows, names: list[str]) -> float:
 
 def comments_of(splats: Splats) -> list[str]:
     """What comments say of splats, for `vertical` and `model_in` to read."""
-    told = [f"{COMMENT} {word}" for word, model in WORDS.items() if model is splats.model]
+    told = [f"{COMMENT} {word}" for word, model in WORDS.items() if model is splats.model][-1:]
     if splats.model is Model.EWA:  # which all take a PLY for
         told = []
     if splats.up is not None:
@@ -311,7 +345,7 @@ def model_in(comments: list[str]) -> Model | None:
     for comment in comments:
         words = comment.lower().split()
         if words[:1] == [COMMENT.lower()]:
-            found = WORDS.get(" ".join(words[1:]), Model.EWA)
+            found = WORDS.get(" ".join(words[1:]), found)
         elif words[:1] == ["antialiased"]:
             found = Model.EWA_ANTIALIASED if words[1:] == ["1"] else Model.EWA
     return found

@@ -61,7 +61,8 @@ class PlyFile:
         with path.open("rb") as stream:
             head = stream.read(LARGEST_HEADER)
         # All lines end as the first does.
-        match = re.match(rb"ply(\r\n|\r|\n)(?:.*?\1)??end_header(?:\1|$)", head, re.DOTALL)
+        pattern = rb"ply[ \t]*(\r\n|\r|\n)(?:.*?\1)??end_header[ \t]*(?:\1|$)"
+        match = re.match(pattern, head, re.DOTALL)
         if not match:
             raise InputError(f"{path}: a PLY with no end_header in its first {len(head):,} bytes")
         lines = match[0].decode("utf-8", "replace").split(match[1].decode())
@@ -136,7 +137,8 @@ class PlyFile:
             columns = len(element.dtype.names or ()) + len(element.lists)
             binary = element.dtype.itemsize + len(element.lists)
             least = 2 * columns if self.is_text else binary  # a digit and what follows it
-            if element.length and not columns:
+            # gsplat writes such an element; in binary, it takes no room.
+            if element.length and not columns and (self.is_text or name == "vertex"):
                 raise InputError(f"{self.path}: element {name} has rows, but no property")
             if element.length * least > room + self.is_text:
                 raise self._truncated(name, element, room // least)

@@ -350,6 +350,8 @@ class _Reader:
         name = self._meta.get("model")
         if self._meta.get("antialias") is True or name == "antialiased":
             return Model.EWA_ANTIALIASED
+        if name == "2dgs":  # splat-transform's word
+            return Model.DISC
         return Model.of(name) if name in list(map(str, Model)) else Model.EWA
 
     def _has_bands(self) -> bool:

@@ -40,18 +40,6 @@ TYPE = "sensor_msgs/msg/PointCloud2"
 TOPIC = "cloud"
 DEPTH = 1
 
-# Names in place of a PLY's.
-_SAME = {
-    **{f"position_{i}": axis for i, axis in enumerate("xyz")},
-    **{f"xyz_{i}": axis for i, axis in enumerate("xyz")},
-    **{f"rot_{axis}": f"rot_{i}" for i, axis in enumerate("wxyz")},
-    **{f"rotation_{i}": f"rot_{i}" for i in range(4)},
-    **{f"scale_{axis}": f"scale_{i}" for i, axis in enumerate("xyz")},
-    "position_x": "x",
-    "position_y": "y",
-    "position_z": "z",
-}
-
 
 class Reader(MapReader):
     """The map of the last cloud."""
@@ -103,13 +91,17 @@ def _rows(message: PointCloud2, name: str) -> NDArray[np.void]:
                 f"after {end}"
             )
         for i in range(count):
-            own = f"{field.name}_{i}" if count > 1 else field.name
-            names.append(_SAME.get(own, own))
+            names.append(f"{field.name}_{i}" if count > 1 else field.name)
             formats.append(kind)
             offsets.append(field.offset + i * kind.itemsize)
     try:
         layout = np.dtype(
-            {"names": names, "formats": formats, "offsets": offsets, "itemsize": step}
+            {
+                "names": ply.plain_names(names),
+                "formats": formats,
+                "offsets": offsets,
+                "itemsize": step,
+            }
         )
     except ValueError as error:
         raise InputError(f"{name}: point_step: {step} bytes: {error}") from error
