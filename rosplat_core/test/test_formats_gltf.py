@@ -386,3 +386,40 @@ def test_numbers_that_gltf_has_not(random_splats: Make, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not finite can't be written"):
         save(tmp_path / "a.glb", splats)
     assert not (tmp_path / "a.glb").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "said"),
+    [
+        ("SCALE", np.log, "scales are logarithms"),  # splat-transform until June 2026
+        ("OPACITY", lambda p: np.log(p / (1 - p)), "opacities are logits"),  # JSplat
+    ],
+)
+def test_trained_numbers_are_taken_for_what_they_are(
+    random_splats: Make, tmp_path: Path, name: str, wrong: Callable[[Any], Any], said: str
+) -> None:
+    splats = random_splats(200, 1)
+    splats.opacities[:] = np.linspace(0.75, 0.99, 200)
+    save(tmp_path / "a.glb", splats)
+    asset, buffer = parts(tmp_path / "a.glb")
+    accessor = asset["accessors"][attributes(asset)[PREFIX + name]]
+    view = asset["bufferViews"][accessor["bufferView"]]
+    part = slice(view["byteOffset"], view["byteOffset"] + view["byteLength"])
+    data = bytearray(buffer)
+    data[part] = wrong(np.frombuffer(buffer[part], "<f4")).astype("<f4").tobytes()
+    warned: list[str] = []
+    found = load(write(tmp_path / "b.glb", asset, bytes(data)), warn=warned.append)
+    assert said in warned[0]
+    np.testing.assert_allclose(found.scales, splats.scales, rtol=1e-5)
+    np.testing.assert_allclose(found.opacities, splats.opacities, atol=1e-6)
+
+
+def test_splats_are_there_whatever_extensions_used_says(
+    changed: Callable[[Change], Path],
+) -> None:
+    path = changed(
+        lambda asset: (asset.pop("extensionsUsed"), told(asset).update(colorSpace="BT.709-sRGB"))
+    )
+    warned: list[str] = []
+    assert len(load(path, warn=warned.append)) == 20
+    assert not warned  # it is a draft's name for sRGB

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from rosplat_core.formats.bounds import claim, refusing, size_of
 from rosplat_core.formats.decoded import (
+    BLOCK,
     Axes,
     Into,
     Made,
@@ -43,7 +44,7 @@ from rosplat_core.formats.decoded import (
 )
 from rosplat_core.formats.file_rows import FileRows
 from rosplat_core.formats.placed import place
-from rosplat_core.formats.quantised import to_bytes
+from rosplat_core.formats.quantised import sigmoid, to_bytes
 from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
@@ -61,6 +62,7 @@ DRAWN = "sorted by distance from the camera, cut at 3 sigma"
 EXTENSION = "KHR_gaussian_splatting"
 READ = {EXTENSION, "KHR_mesh_quantization"}  # extensions that a file may require
 COLOUR_SPACE = "srgb_rec709_display"
+SRGB = (COLOUR_SPACE, "BT.709-sRGB")  # the latter in drafts
 # What the extension hints at, and the values that don't matter here: DRAWN says how its default is.
 HINTS = {"projection": ("perspective",), "sortingMethod": ("cameraDistance", "zDepth")}
 
@@ -268,6 +270,9 @@ class _Primitive(NamedTuple):
     degree: int
     model: Model
     attributes: dict[str, _Attribute]
+    log_scales: bool
+    """Whether scales are logarithms; logits: opacities logits."""
+    logits: bool
 
     def __len__(self) -> int:
         return self.attributes["POSITION"].shape[0]
@@ -295,9 +300,10 @@ def _splats(
         primitive = primitives[source]
         columns.positions[:] = primitive.numbers("POSITION", part)
         columns.orientations[:] = primitive.numbers(f"{EXTENSION}:ROTATION", part)
-        columns.scales[:] = np.abs(primitive.numbers(f"{EXTENSION}:SCALE", part))
+        scales = primitive.numbers(f"{EXTENSION}:SCALE", part)
+        columns.scales[:] = np.exp(scales) if primitive.log_scales else np.abs(scales)
         opacities = primitive.numbers(f"{EXTENSION}:OPACITY", part)[:, 0]
-        columns.opacities[:] = np.clip(opacities, 0, 1)
+        columns.opacities[:] = sigmoid(opacities) if primitive.logits else np.clip(opacities, 0, 1)
         columns.sh[:] = 0  # where a primitive has fewer bands
         for k, name in enumerate(_coefficients(primitive.degree)):
             columns.sh[:, k] = primitive.numbers(name, part)
@@ -332,7 +338,7 @@ class _Asset:
 
     def primitives(self) -> Iterator[_Primitive]:
         """The splats of the scene. Raises InputError for a file that doesn't use the extension."""
-        count = 0
+        count, used = 0, EXTENSION in self._json.get("extensionsUsed", [])
         for mesh, pose in self._meshes():
             for primitive in self._item("meshes", mesh)["primitives"]:
                 count += 1
@@ -340,8 +346,9 @@ class _Asset:
                     raise InputError(f"{self.path}: more than {MOST_PRIMITIVES:,} primitives")
                 told = primitive.get("extensions", {}).get(EXTENSION)
                 if told is not None:
+                    used = True  # whatever extensionsUsed says
                     yield self._primitive(primitive, told, pose)
-        if EXTENSION not in self._json.get("extensionsUsed", []):
+        if not used:
             raise InputError(f"{self.path}: holds no splats: it doesn't use {EXTENSION}")
 
     # --- Containers
@@ -471,7 +478,7 @@ class _Asset:
             if (hint := told.get(name, drawn[0])) not in drawn:
                 self.warnings.append(f"{name} is {shown(repr(hint))}; drawn as {drawn[0]}")
         colours = told.get("colorSpace", COLOUR_SPACE)
-        if colours != COLOUR_SPACE:
+        if colours not in SRGB:
             self.warnings.append(f"colours of {shown(repr(colours))} are taken for sRGB")
         accessors = primitive["attributes"]
         degree = self._degree(accessors)
@@ -495,7 +502,19 @@ class _Asset:
         if len(counts) > 1:
             raise InputError(f"{self.path}: attributes of different lengths: {sorted(counts)}")
         model = told_model(self.path, told.get("extras", {}).get("model"))
-        return _Primitive(pose, degree, model, attributes)
+        some = slice(0, min(BLOCK, *counts))
+        scales = attributes[f"{EXTENSION}:SCALE"].numbers(some)
+        opacities = attributes[f"{EXTENSION}:OPACITY"].numbers(some)
+        # splat-transform wrote such files until June 2026, and JSplat until February.
+        log_scales = bool(np.mean(scales < 0) > 0.5)
+        logits = bool(np.mean((opacities < 0) | (opacities > 1)) > 0.5)
+        for is_so, what in (
+            (log_scales, "scales are logarithms"),
+            (logits, "opacities are logits"),
+        ):
+            if is_so:
+                self.warnings.append(f"{what}, against glTF's rule: most can be nothing else")
+        return _Primitive(pose, degree, model, attributes, log_scales, logits)
 
     def _degree(self, accessors: Any) -> int:
         """The highest degree that is there; its band and all below then have to be whole."""
