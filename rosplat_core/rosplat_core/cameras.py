@@ -151,7 +151,7 @@ def load_cameras(path: str | Path, warn: Callable[[str], object] = _log.warning)
     try:
         entries: Any = foreign_cameras.colmap(path, told.append)
         if entries is None:
-            document = json.loads(path.read_text(encoding="utf-8"))
+            document = json.loads(path.read_text(encoding="utf-8-sig"))
             entries = foreign_cameras.entries(document, path, told.append)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error

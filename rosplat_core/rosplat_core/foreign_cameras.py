@@ -35,7 +35,9 @@ Warn = Callable[[str], object]
 
 PARSED = "dataparser_transforms.json"
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-NO_PINHOLE = ("EQUIRECTANGULAR", "OMNIDIRECTIONAL", "VR180")  # beginnings of models' names
+# Beginnings of models' names
+NO_PINHOLE = ("EQUIRECTANGULAR", "OMNIDIRECTIONAL", "VR180", "ORTHO")
+FISHEYE = "FISHEYE"  # in a model's name: bent without coefficients, too
 FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 # What nerfstudio did to COLMAP's coordinates before transforms.json had a field for it.
 APPLIED = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
@@ -43,7 +45,9 @@ APPLIED = [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]]
 MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8),
     ("OPENCV_FISHEYE", 8), ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4),
-    ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12),
+    ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12), ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4), ("DIVISION", 5), ("SIMPLE_FISHEYE", 3), ("FISHEYE", 4), ("EUCM", 6),
+    ("EQUIRECTANGULAR", 2),
 )  # fmt: skip
 PLACES = (".", "sparse/0", "sparse", "colmap/sparse/0")  # of a model in a folder of pictures
 
@@ -89,7 +93,7 @@ def _inria(entry: Entry, path: Path, index: int) -> Entry:
     with refusing(f"{path}: camera {index}"):
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = entry["rotation"], entry["position"]
-        width, height = entry["width"], entry["height"]
+        width, height = int(entry["width"]), int(entry["height"])
         return {
             "id": entry.get("id", index), "width": width, "height": height,
             "fx": entry["fx"], "fy": entry["fy"],
@@ -106,10 +110,12 @@ def _transforms(document: Entry, path: Path, warn: Warn) -> list[Entry]:
     with refusing(f"{path}: frames"):
         frames = [document | frame for frame in document["frames"]]
     bent = [name for name in DISTORTION if any(frame.get(name) for frame in frames)]
-    models = {str(frame.get("camera_model", "")) for frame in frames}
+    models = {str(frame.get("camera_model", "")).upper() for frame in frames}
+    if any(frame.get("is_fisheye") for frame in frames):  # instant-ngp's
+        models.add(FISHEYE)
     if round_ := sorted(model for model in models if model.startswith(NO_PINHOLE)):
         raise InputError(f"{path}: camera model {shown(round_[0])} has no pinhole picture")
-    bent += sorted(model for model in models if "FISHEYE" in model)
+    bent += sorted(model for model in models if FISHEYE in model)
     if bent:
         warn(f"{path}: lens distortion {', '.join(bent)} left out: cameras are drawn without it")
     with refusing(str(path.with_name(PARSED))):
@@ -143,7 +149,7 @@ def _parsed(document: Entry, path: Path, warn: Warn) -> tuple[NDArray[np.float64
     beside = path.with_name(PARSED)
     if not beside.is_file():
         return np.eye(4), 1.0
-    parsed = json.loads(beside.read_text(encoding="utf-8"))
+    parsed = json.loads(beside.read_text(encoding="utf-8-sig"))
     warn(f"{path}: cameras are moved by {PARSED} beside it")
     applied = _affine(document.get("applied_transform", APPLIED))
     scale = float(parsed["scale"]) / float(document.get("applied_scale", 1.0))
@@ -189,9 +195,13 @@ def _colmap(folder: Path, lenses: dict[int, Lens], image: Image, warn: Warn) -> 
     name, number, lens, wxyz, translation = image
     with refusing(f"{folder}: picture {shown(name)}"):
         model, width, height, parameters = lenses[lens]
+        if model.startswith(NO_PINHOLE):
+            raise InputError(f"{folder}: camera model {model} has no pinhole picture")
+        if (model, len(parameters)) not in MODELS:
+            raise ValueError(f"camera model {model} of {len(parameters)} numbers isn't known")
         one = model.startswith(("SIMPLE", "RADIAL"))
         fx, fy, cx, cy = parameters[:1] + parameters[:3] if one else parameters[:4]
-        bent = any(parameters[3 if one else 4 :])
+        bent = FISHEYE in model or any(parameters[3 if one else 4 :])
         if bent:
             warn(f"{folder}: lens distortion {model} left out: cameras are drawn without it")
         transform = np.eye(4)
@@ -205,25 +215,31 @@ def _colmap(folder: Path, lenses: dict[int, Lens], image: Image, warn: Warn) -> 
 
 
 def _text_lenses(file: Path) -> Iterator[tuple[int, Lens]]:
-    for line in file.read_text(encoding="utf-8").splitlines():
+    for line in file.read_text(encoding="utf-8-sig").splitlines():
         if line.strip() and not line.startswith("#"):
             number, model, width, height, *parameters = line.split()
             yield int(number), (model, int(width), int(height), tuple(map(float, parameters)))
 
 
 def _text_images(file: Path) -> Iterator[Image]:
-    lines = [x for x in file.read_text(encoding="utf-8").splitlines() if not x.startswith("#")]
-    for line in lines[::2]:  # of its points is every second one, which may be empty
-        if line.strip():
+    for line in file.read_text(encoding="utf-8-sig").splitlines():
+        if line.strip() and not line.startswith("#") and not _are_points(line.split()):
             number, *numbers, lens, name = line.split(maxsplit=9)
             pose = tuple(map(float, numbers))
             yield name, int(number), int(lens), pose[:4], pose[4:]
+
+
+def _are_points(words: list[str]) -> bool:
+    """Whether a line has a picture's points, x y id each; some programs write none."""
+    return len(words) % 3 == 0 and words[-1].removeprefix("-").isdecimal()
 
 
 def _binary_lenses(file: Path) -> Iterator[tuple[int, Lens]]:
     with file.open("rb") as stream:
         for _ in range(_read(stream, "<Q")[0]):
             number, model, width, height = _read(stream, "<iiQQ")
+            if not 0 <= model < len(MODELS):
+                raise ValueError(f"camera model {model} isn't known")
             name, count = MODELS[model]
             yield number, (name, width, height, _read(stream, f"<{count}d"))
 

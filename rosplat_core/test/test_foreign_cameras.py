@@ -63,9 +63,10 @@ def test_nerfstudio(tmp_path: Path) -> None:
 
 
 def test_cameras_that_see_all_around_are_named(tmp_path: Path) -> None:
-    path = write(tmp_path / "transforms.json", transforms(camera_model="EQUIRECTANGULAR"))
-    with pytest.raises(InputError, match="EQUIRECTANGULAR has no pinhole"):
-        load_cameras(path)
+    for model in ("EQUIRECTANGULAR", "ORTHOPHOTO"):
+        path = write(tmp_path / "transforms.json", transforms(camera_model=model))
+        with pytest.raises(InputError, match=f"{model} has no pinhole"):
+            load_cameras(path)
     told: list[str] = []
     write(path, transforms(camera_model="OPENCV_FISHEYE"))
     assert_cameras(load_cameras(path, told.append), 321.5, 239.0)
@@ -152,3 +153,70 @@ def test_colmap_in_binary(tmp_path: Path) -> None:
     (tmp_path / "images.bin").write_bytes(images[:100])
     with pytest.raises(InputError, match=r"a model of COLMAP: .*cut short"):
         load_cameras(tmp_path)
+
+
+def colmap(folder: Path, lens: str, lines: list[str]) -> Path:
+    """A model in text."""
+    (folder / "cameras.txt").write_text(f"1 {lens}\n")
+    (folder / "images.txt").write_text("\n".join(lines))
+    return folder
+
+
+def test_colmap_s_pictures_without_lines_of_points(tmp_path: Path) -> None:
+    lines = []
+    for camera in CAMERAS:
+        pose = [*quaternion(camera), *camera.world_to_camera[:3, 3].tolist()]
+        lines.append(f"{camera.id} {' '.join(map(repr, pose))} 1 {camera.id}.png")
+    lines.insert(1, "12.5 7.25 -1 1.5 2.5 3")
+    assert_cameras(load_cameras(colmap(tmp_path, "PINHOLE 640 480 500 510 320 240", lines)))
+
+
+@pytest.mark.parametrize("lens", ["OPENCV_FISHEYE 9 9 5 5 4 4 0 0 0 0", "SIMPLE_FISHEYE 9 9 5 4 4"])
+def test_fisheyes_of_colmap_are_bent_without_coefficients(tmp_path: Path, lens: str) -> None:
+    told: list[str] = []
+    load_cameras(colmap(tmp_path, lens, ["1 1 0 0 0 0 0 0 1 a.png"]), told.append)
+    assert "FISHEYE left out" in told[0]
+
+
+@pytest.mark.parametrize(
+    ("lens", "said"),
+    [
+        ("EQUIRECTANGULAR 9 9 9 9", "no pinhole picture"),
+        ("LOOKING_GLASS 9 9 1", "LOOKING_GLASS of 1"),
+    ],
+)
+def test_colmap_s_cameras_that_are_none_here_are_named(
+    tmp_path: Path, lens: str, said: str
+) -> None:
+    with pytest.raises(InputError, match=said):
+        load_cameras(colmap(tmp_path, lens, ["1 1 0 0 0 0 0 0 1 a.png"]))
+
+
+def test_colmap_s_newer_lenses_by_number(tmp_path: Path) -> None:
+    image = struct.pack("<Qi7di", 1, 7, 1, 0, 0, 0, 0, 0, 0, 1) + b"a.png\0" + bytes(8)
+    (tmp_path / "images.bin").write_bytes(image)
+    lens = struct.pack("<QiiQQ3d", 1, 1, 14, 640, 480, 500, 320, 240)
+    (tmp_path / "cameras.bin").write_bytes(lens)
+    told: list[str] = []
+    assert load_cameras(tmp_path, told.append)[0].fx == 500
+    assert "SIMPLE_FISHEYE left out" in told[0]
+    (tmp_path / "cameras.bin").write_bytes(lens[:12] + struct.pack("<i", 99) + lens[16:])
+    with pytest.raises(InputError, match="camera model 99 isn't known"):
+        load_cameras(tmp_path)
+
+
+def test_a_byte_order_mark_and_sizes_as_floats(tmp_path: Path) -> None:
+    entry = {
+        "position": [1, 2, 3], "rotation": np.eye(3).tolist(), "width": 640.0, "height": 480.0,
+        "fx": 500, "fy": 500,
+    }  # fmt: skip
+    path = tmp_path / "cameras.json"
+    path.write_text("\ufeff" + json.dumps([entry]), encoding="utf-8")
+    assert load_cameras(path)[0].width == 640
+
+
+@pytest.mark.parametrize("more", [{"camera_model": "opencv_fisheye"}, {"is_fisheye": True}])
+def test_fisheyes_by_any_name(tmp_path: Path, more: dict[str, object]) -> None:
+    told: list[str] = []
+    load_cameras(write(tmp_path / "transforms.json", transforms(**more)), told.append)
+    assert "FISHEYE left out" in told[0]
