@@ -128,7 +128,9 @@ def test_rays_that_do_not_arrive_are_none() -> None:
         ({"width": 0}, "width is 0, expected 1 to 8192"),
         ({"fx": 0.0, "fy": 0.0}, "k: focal lengths are 0.0, 0.0, expected more than 0"),
         ({"cx": math.nan}, "a number is not finite"),
-        ({"model": "fisheye"}, "distortion_model is 'fisheye', known are plumb_bob"),
+        ({"fx": 0.0, "fy": 0.0}, "not calibrated"),
+        ({"model": "eucm"}, "distortion_model is 'eucm', known are plumb_bob"),
+        ({"model": "none", "coefficients": (1,)}, "d has 1 numbers, expected 0"),
         ({"model": "a\x1b[31m"}, r"distortion_model is 'a\\x1b\[31m'"),
         (
             {"model": "rational_polynomial", "coefficients": (1,) * 15},
@@ -143,6 +145,24 @@ def test_rays_that_do_not_arrive_are_none() -> None:
 def test_what_is_no_lens_names_the_field(changes: dict[str, object], said: str) -> None:
     with pytest.raises(LensError, match=said):
         Lens(**(SIZE | changes))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("name", "coefficients", "model"),
+    [
+        ("fisheye", (0.1,), "equidistant"),
+        ("KANNALA_BRANDT4", (0.1,), "equidistant"),
+        ("radtan", (0.1,), "plumb_bob"),
+        ("Brown-Conrady", (0.1,), "plumb_bob"),
+        ("none", (0.0,) * 5, ""),
+        ("plumb_bob", (0.1, 0, 0, 0, 0, 0.2, 0, 0), "rational_polynomial"),
+        ("plumb_bob", (0.1, 0, 0, 0, 0, 0, 0, 0), "plumb_bob"),
+    ],
+)
+def test_names_that_drivers_have_for_models(
+    name: str, coefficients: tuple[float, ...], model: str
+) -> None:
+    assert Lens(**(SIZE | {"model": name, "coefficients": coefficients})).model == model
 
 
 def test_a_distortion_that_folds_is_refused() -> None:

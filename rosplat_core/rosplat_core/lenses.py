@@ -37,6 +37,14 @@ COEFFICIENTS = {
     EQUIDISTANT: (4,), DOUBLE_SPHERE: (2,), F_THETA: (6, 7, 13), EQUIRECTANGULAR: (0,),
 }  # fmt: skip
 
+# What calibrators and drivers call these models, in lower case with _ for - and blanks.
+OTHER_NAMES = {
+    "none": PINHOLE, "pinhole": PINHOLE, "rectilinear": PINHOLE,
+    "radtan": PLUMB_BOB, "brown_conrady": PLUMB_BOB,
+    "fisheye": EQUIDISTANT, "equi": EQUIDISTANT, "opencv_fisheye": EQUIDISTANT,
+    "kannala_brandt": EQUIDISTANT, "kannala_brandt4": EQUIDISTANT,
+}  # fmt: skip
+
 LONGEST_SIDE = 8192  # [px]
 WIDEST = math.tan(math.radians(50))  # beyond, splats lose their shape in one pinhole picture
 STEEPEST = math.radians(84)  # most angle of a ray for polynomials of its tangent [rad]
@@ -88,10 +96,17 @@ class Lens:
         if not all(map(math.isfinite, numbers)):
             raise LensError("a number is not finite")
         if not (self.fx > 0 and self.fy > 0):
-            raise LensError(f"k: focal lengths are {self.fx}, {self.fy}, expected more than 0")
-        if self.model not in COEFFICIENTS:
+            said = f"k: focal lengths are {self.fx}, {self.fy}, expected more than 0"
+            raise LensError(said if self.fx or self.fy else f"{said}: not calibrated?")
+        name = self.model.lower().replace("-", "_").replace(" ", "_")
+        model = OTHER_NAMES.get(name, name)
+        # OpenCV takes the model from the count, and so some drivers don't mind the name.
+        if model == PLUMB_BOB and any(self.coefficients[COEFFICIENTS[model][0] :]):
+            model = RATIONAL
+        if model not in COEFFICIENTS:
             known = ", ".join(filter(None, COEFFICIENTS))
             raise LensError(f"distortion_model is '{shown(self.model)}', known are {known}")
+        object.__setattr__(self, "model", model)
         count, counts = len(self.coefficients), COEFFICIENTS[self.model]
         if any(self.coefficients[counts[-1] :]):
             expected = ", ".join(map(str, counts))

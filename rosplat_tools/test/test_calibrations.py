@@ -107,8 +107,23 @@ def test_a_part_of_the_picture_is_refused() -> None:
 
 
 def test_a_message_of_zeros_rectifies_nothing() -> None:
-    with pytest.raises(LensError, match="r: expected a rotation"):
+    with pytest.raises(LensError, match="not calibrated"):
         rectified(CameraInfo(width=3, height=2))
+
+
+def test_zeros_in_place_of_a_rotation_turn_nothing() -> None:
+    info = of_lens(Lens(320, 240, 200.0, 200.0, 160.0, 120.0))
+    info.r = [0.0] * 9
+    np.testing.assert_array_equal(rectified(info)[1], np.eye(3))
+    info.r = [2.0, *[0.0] * 8]
+    with pytest.raises(LensError, match="r: expected a rotation"):
+        rectified(info)
+
+
+def test_a_file_without_a_model_is_plumb_bob(tmp_path: Path) -> None:
+    """As ROS's own parser has it; older files call it camera_model."""
+    path = write(tmp_path, FILE.replace("distortion_model", "camera_model"))
+    assert lens_of(load(path)).model == "plumb_bob"
 
 
 F_THETA = """{"resolution": [960, 540], "shutter_type": "GLOBAL", "principal_point": [477.9, 271.4],

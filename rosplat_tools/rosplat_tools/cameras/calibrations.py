@@ -15,7 +15,7 @@ import yaml
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo
 
-from rosplat_core.lenses import F_THETA, Lens, LensError
+from rosplat_core.lenses import F_THETA, PLUMB_BOB, Lens, LensError
 from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError
 
@@ -59,7 +59,8 @@ def rectified(info: CameraInfo) -> tuple[Lens, NDArray[np.float64]]:
     Raises LensError, naming the field.
     """
     _check_window(info)
-    rotation, p = np.reshape(info.r, (3, 3)), info.p
+    # Drivers of one camera leave zeros.
+    rotation, p = np.reshape(info.r, (3, 3)) if any(info.r) else np.eye(3), info.p
     if not np.allclose(rotation @ rotation.T, np.eye(3), rtol=0, atol=1e-4):
         raise LensError("r: expected a rotation")
     try:
@@ -109,7 +110,7 @@ def _read(content: Any) -> CameraInfo:
     info = CameraInfo()
     for field, key in (("width", "image_width"), ("height", "image_height")):
         setattr(info, field, *_pixels([content.get(key)], key))
-    model = content.get("distortion_model", "")
+    model = content.get("distortion_model", PLUMB_BOB)  # as ROS's own parser
     if not isinstance(model, str):
         raise LensError(f"distortion_model is {shown(model)!r}, expected a name")
     info.distortion_model = model
