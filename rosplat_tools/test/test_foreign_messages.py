@@ -188,6 +188,46 @@ def test_drivers_count_a_cloud_s_fields_as_they_like() -> None:
         read("point_cloud", [message])
 
 
+def test_what_pcl_leaves_in_a_cloud() -> None:
+    splats = random_splats(50, 0)
+    message = cloud(splats)
+    message.height = 0
+    message.fields = [
+        *message.fields,
+        PointField(name="_", offset=0, datatype=2, count=4),
+        PointField(name="_", offset=8, datatype=2, count=4),
+    ]
+    np.testing.assert_array_equal(read("point_cloud", [message]).sh, splats.sh)
+    message.fields = [*message.fields, PointField(name="x", offset=0, datatype=7, count=1)]
+    with pytest.raises(InputError, match="fields: x is there twice"):
+        read("point_cloud", [message])
+    message = cloud(splats)
+    message.fields = [PointField(name="q", offset=0, datatype=2, count=2**29)]
+    message.point_step = 2**30
+    with pytest.raises(InputError, match="fields: more than 4,096 numbers a point"):
+        read("point_cloud", [message])
+
+
+@pytest.mark.parametrize(("name", "datatype"), [("rgb", 7), ("rgb", 6), ("rgba", 6)])
+@pytest.mark.parametrize("big_endian", [False, True])
+def test_packed_colours_are_colours(name: str, datatype: int, big_endian: bool) -> None:
+    splats = random_splats(50, 0)
+    message = cloud(splats, big_endian=big_endian)
+    place = {field.name: field for field in message.fields}
+    rows = np.frombuffer(message.data, np.uint8).reshape(50, -1).copy()
+    packed = np.arange(50, dtype=np.uint32) << 16 | 20 << 8 | 200
+    begin = place["f_dc_0"].offset
+    rows[:, begin : begin + 4] = (
+        packed.astype(">u4" if big_endian else "<u4").view(np.uint8).reshape(50, 4)
+    )
+    message.data = rows.tobytes()
+    message.fields = [field for field in message.fields if not field.name.startswith("f_dc")]
+    message.fields.append(PointField(name=name, offset=begin, datatype=datatype, count=1))
+    colours = (0.2820948 * read("point_cloud", [message]).sh[:, 0] + 0.5) * 255
+    np.testing.assert_allclose(colours[:, 0], np.arange(50), atol=1e-3)
+    np.testing.assert_allclose(colours[:, 1:], [[20, 200]] * 50, atol=1e-3)
+
+
 def test_quaternions_by_letters_are_quaternions() -> None:
     splats = random_splats(50, 0)
     message = cloud(splats)

@@ -1,7 +1,8 @@
 """sensor_msgs/PointCloud2 with a PLY's properties for fields. A message is a whole map.
 
 Fields are called, and mean, what a PLY's properties do: x y z, f_dc_*, opacity as logit, scale_* as
-logarithm, rot_* with w first, and f_rest_* where there are any; red green blue will do for f_dc_*.
+logarithm, rot_* with w first, and f_rest_* where there are any; red green blue will do for f_dc_*,
+and so will PCL's rgb or rgba, a number of four bytes with blue in its lowest.
 A field of several numbers stands for as many fields: `rot` of 4 is rot_0 to rot_3, `position` of 3
 is x y z. Teleoperation in Unity writes rot_w rot_x rot_y rot_z.
 """
@@ -35,6 +36,10 @@ _TYPES = {
     PointField.FLOAT64: "f8",
 }
 
+
+_PADDING = ("", "_")  # PCL's names of fields that are none
+_PACKED = ("rgb", "rgba")
+_MOST_NUMBERS = 4096  # of a point; a splat has 62, features some hundreds
 
 TYPE = "sensor_msgs/msg/PointCloud2"
 TOPIC = "cloud"
@@ -75,14 +80,14 @@ def messages(kind: type[PointCloud2], splats: Splats, header: Header) -> Iterato
 
 def _rows(message: PointCloud2, name: str) -> NDArray[np.void]:
     """A cloud's points as a structured array, a copy only if the rows are padded."""
-    step, width, height = message.point_step, message.width, message.height
+    step, width, height = message.point_step, message.width, max(message.height, 1)
     order = ">" if message.is_bigendian else "<"
     names, formats, offsets = [], [], []
     for field in message.fields:
-        if field.datatype not in _TYPES:
+        if field.datatype not in _TYPES or field.name in _PADDING:
             continue
         kind = np.dtype(order + _TYPES[field.datatype])
-        count = max(field.count, 1)  # some drivers leave it at 0
+        count = max(field.count, 1)  # some drivers leave it at 0, and a cloud's height
         end = field.offset + count * kind.itemsize
         if end > step:
             several = f" of {count} numbers" if count > 1 else ""
@@ -90,10 +95,20 @@ def _rows(message: PointCloud2, name: str) -> NDArray[np.void]:
                 f"{name}: point_step: {step} bytes, field {shown(field.name, 40)}{several} ends "
                 f"after {end}"
             )
+        if len(names) + count > _MOST_NUMBERS:
+            raise InputError(f"{name}: fields: more than {_MOST_NUMBERS:,} numbers a point")
+        if field.name in _PACKED and count == 1 and kind.itemsize == 4:
+            names += ["red", "green", "blue"]
+            formats += [np.dtype("u1")] * 3
+            offsets += [field.offset + i for i in ((1, 2, 3) if order == ">" else (2, 1, 0))]
+            continue
         for i in range(count):
             names.append(f"{field.name}_{i}" if count > 1 else field.name)
             formats.append(kind)
             offsets.append(field.offset + i * kind.itemsize)
+    if len(set(names)) < len(names):
+        twice = max(names, key=names.count)
+        raise InputError(f"{name}: fields: {shown(twice, 40)} is there twice")
     try:
         layout = np.dtype(
             {
