@@ -22,6 +22,7 @@ def test_tiles_are_one_scene(random_splats: Make, tmp_path: Path, ending: str) -
         tile = replace(tile, origin=np.array([100.0 * number, 0, 0]))
         save(tmp_path / f"tile_{number}{ending}", tile)
     (tmp_path / "readme.txt").write_text("six tiles")
+    (tmp_path / f"._tile_0{ending}").write_bytes(bytes(64))  # of macOS
     told: list[float] = []
     splats = load(tmp_path, told.append)
     joined = concatenate([load(tmp_path / f"tile_{i}{ending}") for i in range(3)])
@@ -46,6 +47,11 @@ def test_a_scene_in_two_formats_has_to_be_named(random_splats: Make, tmp_path: P
             f"{MODEL}/iteration_30000/point_cloud.ply",
         ),
         (f"{MODEL}/iteration_7000/point_cloud.ply", f"{MODEL}/final/point_cloud.ply"),
+        (f"{MODEL}/final/point_cloud.ply", f"{MODEL}/final_after_opt/point_cloud.ply"),
+        (
+            f"900_shutdown/ply/{MODEL}/iteration_900/point_cloud.ply",
+            f"1000_shutdown/ply/{MODEL}/iteration_1000/point_cloud.ply",
+        ),
         ("ply/point_cloud_6999.ply", "ply/point_cloud_29999.ply"),
         ("export_5000.ply", "export_30000.ply"),
         ("splat_7000.ply", "splat_30000.ply"),

@@ -391,8 +391,8 @@ def test_numbers_that_gltf_has_not(random_splats: Make, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "wrong", "said"),
     [
-        ("SCALE", np.log, "scales are logarithms"),  # splat-transform until June 2026
-        ("OPACITY", lambda p: np.log(p / (1 - p)), "opacities are logits"),  # JSplat
+        ("SCALE", np.log, "scales are negative: logarithms"),  # splat-transform until June 2026
+        ("OPACITY", lambda p: np.log(p / (1 - p)), "opacities are no shares: logits"),  # JSplat
     ],
 )
 def test_trained_numbers_are_taken_for_what_they_are(

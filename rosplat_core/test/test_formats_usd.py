@@ -293,3 +293,24 @@ def test_a_package_holds_a_layer_as_it_is(random_splats: Make, tmp_path: Path) -
     with zipfile.ZipFile(tmp_path / "a.usdz") as package:
         (entry,) = package.infolist()
     assert (entry.filename, entry.compress_type) == ("scene.usdc", zipfile.ZIP_STORED)
+
+
+def test_trained_numbers_are_taken_for_what_they_are(random_splats: Make, tmp_path: Path) -> None:
+    from pxr import Usd, Vt
+
+    splats = random_splats(200)
+    splats.opacities[:] = np.linspace(0.75, 0.99, 200)
+    save(tmp_path / "a.usda", splats)
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    prim = stage.GetDefaultPrim()
+    prim.GetAttribute("scales").Set(Vt.Vec3fArray.FromNumpy(np.log(splats.scales)))
+    logits = np.log(splats.opacities / (1 - splats.opacities))
+    prim.GetAttribute("opacities").Set(Vt.FloatArray.FromNumpy(logits))
+    stage.Save()
+    warned: list[str] = []
+    found = load(tmp_path / "a.usda", warn=warned.append)
+    assert [("logarithms" in text, "logits" in text) for text in warned] == [
+        (True, False), (False, True),
+    ]  # fmt: skip
+    np.testing.assert_allclose(found.scales, splats.scales, rtol=1e-5)
+    np.testing.assert_allclose(found.opacities, splats.opacities, atol=1e-6)

@@ -105,6 +105,27 @@ def told_model(path: Path, name: object) -> Model:
     return Model.of(str(name))
 
 
+def as_trained(scales: Floats, opacities: Floats) -> tuple[bool, bool]:
+    """Whether scales and opacities of a scene, which should be linear, are logarithms and logits.
+
+    They are where most can be nothing else.
+    """
+
+    def are_most(which: NDArray[np.bool_]) -> bool:
+        return bool(2 * np.count_nonzero(which) > which.size)
+
+    return are_most(scales < 0), are_most((opacities < 0) | (opacities > 1))
+
+
+def told_as_trained(logarithms: bool, logits: bool) -> list[str]:
+    """What to warn of, by as_trained."""
+    told = {
+        "scales are negative: logarithms": logarithms,
+        "opacities are no shares: logits": logits,
+    }
+    return [f"most {text}, and taken for them" for text, is_so in told.items() if is_so]
+
+
 def one_model(path: Path, models: Iterable[Model]) -> Model:
     """The model of all parts of a file, EWA without one. Raises InputError for several."""
     found = sorted(set(models))

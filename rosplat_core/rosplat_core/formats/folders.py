@@ -32,7 +32,10 @@ NAME = "a folder of tiles"
 
 READERS = (compressed_ply, ply, spz, sog, splat)
 ENDINGS = (".ply", ".splat", ".spz", ".sog")
-MODELS = ("point_cloud/*/point_cloud.ply", "iteration_*/point_cloud.ply", "ply/point_cloud_*.ply")
+MODELS = (
+    "point_cloud/*/point_cloud.ply", "iteration_*/point_cloud.ply", "ply/point_cloud_*.ply",
+    "*_shutdown/ply/point_cloud/*/point_cloud.ply",  # Photo-SLAM
+)  # fmt: skip
 # Brush's export_N, gsplat's point_cloud_N, LichtFeld's splat_N: one scene, trained for so long.
 TRAINED = re.compile(r"(?:export|point_cloud|splat|step|iteration)_?\d+\.(?:ply|spz|splat)")
 
@@ -88,7 +91,9 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
 
 
 def _tiles(path: Path) -> list[Path]:
-    return sorted(f for f in path.iterdir() if f.suffix.lower() in ENDINGS and f.is_file())
+    """Without hidden files, which macOS lays beside others."""
+    seen = (file for file in path.iterdir() if not file.name.startswith("."))
+    return sorted(file for file in seen if file.suffix.lower() in ENDINGS and file.is_file())
 
 
 def _reader(tile: Path) -> ModuleType:
@@ -100,7 +105,10 @@ def _reader(tile: Path) -> ModuleType:
     raise InputError(f"{tile}: no tile that can be read")
 
 
-def _iteration(file: Path) -> float:
-    """The number in a file's name, or its folder's; MonoGS calls its last one `final`."""
+def _iteration(file: Path) -> tuple[float, str]:
+    """The number in a file's name, or its folder's, and that name.
+
+    MonoGS calls its last ones `final` and, refined, `final_after_opt`.
+    """
     numbers = re.findall(r"\d+", file.stem) or re.findall(r"\d+", file.parent.name)
-    return float(numbers[-1]) if numbers else math.inf
+    return float(numbers[-1]) if numbers else math.inf, file.parent.name

@@ -38,8 +38,10 @@ from rosplat_core.formats.decoded import (
     Made,
     Progress,
     Warn,
+    as_trained,
     blocks,
     one_model,
+    told_as_trained,
     told_model,
 )
 from rosplat_core.formats.file_rows import FileRows
@@ -506,14 +508,8 @@ class _Asset:
         scales = attributes[f"{EXTENSION}:SCALE"].numbers(some)
         opacities = attributes[f"{EXTENSION}:OPACITY"].numbers(some)
         # splat-transform wrote such files until June 2026, and JSplat until February.
-        log_scales = bool(np.mean(scales < 0) > 0.5)
-        logits = bool(np.mean((opacities < 0) | (opacities > 1)) > 0.5)
-        for is_so, what in (
-            (log_scales, "scales are logarithms"),
-            (logits, "opacities are logits"),
-        ):
-            if is_so:
-                self.warnings.append(f"{what}, against glTF's rule: most can be nothing else")
+        log_scales, logits = as_trained(scales, opacities)
+        self.warnings += told_as_trained(log_scales, logits)
         return _Primitive(pose, degree, model, attributes, log_scales, logits)
 
     def _degree(self, accessors: Any) -> int:

@@ -38,17 +38,21 @@ from numpy.typing import NDArray
 from rosplat_core.formats import usd_child
 from rosplat_core.formats.bounds import claim, size_of, unpackable
 from rosplat_core.formats.decoded import (
+    BLOCK,
     Axes,
     Columns,
     Into,
     Made,
     Progress,
     Warn,
+    as_trained,
     blocks,
     one_model,
+    told_as_trained,
     told_model,
 )
 from rosplat_core.formats.placed import place
+from rosplat_core.formats.quantised import sigmoid
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
 from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients, splat_bytes
@@ -110,7 +114,8 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
         for field in fields:
             own = columns.part(slice(first, first + field.splats))
             first += field.splats
-            _fill(path, own, field, stream)
+            for text in _fill(path, own, field, stream):
+                warn(f"{path}: {text}")
             place(own, field.pose)
             progress(0.9 * first / max(1, n))
     return into.make(path, warn, columns, model)
@@ -287,8 +292,8 @@ class _Field(NamedTuple):
             yield f"spherical harmonics above band {MAX_SH_DEGREE} left out"
 
 
-def _fill(path: Path, columns: Columns, field: _Field, stream: IO[bytes]) -> None:
-    """Reads a prim's arrays, one after the other, into columns.
+def _fill(path: Path, columns: Columns, field: _Field, stream: IO[bytes]) -> list[str]:
+    """Reads a prim's arrays, one after the other, into columns; returns what to warn of.
 
     A missing or too short array becomes the schema's default: no rotation, scale 1, opaque, grey.
     """
@@ -315,8 +320,10 @@ def _fill(path: Path, columns: Columns, field: _Field, stream: IO[bytes]) -> Non
             target[part] = values.reshape(-1, each, width)[:, : target.shape[1]]
         for part in blocks(rows - wanted * each):  # skips the others
             _numbers(path, stream, dtype, (part.stop - part.start) * width)
-    np.abs(scales, out=scales)
-    np.clip(opacities, 0, 1, out=opacities)
+    logarithms, logits = as_trained(scales[:BLOCK], opacities[:BLOCK])
+    (np.exp if logarithms else np.abs)(scales, out=scales)
+    opacities[:] = sigmoid(opacities) if logits else np.clip(opacities, 0, 1)
+    return told_as_trained(logarithms, logits)
 
 
 def _numbers(path: Path, stream: IO[bytes], dtype: np.dtype[Any], count: int) -> NDArray[Any]:
