@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from rosplat_core.formats.decoded import Floats, blocks
 from rosplat_core.harmonics import C0 as SH_C0
+from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 
 QUANTILES = (0.5, 0.99, 1.0)
@@ -25,7 +26,8 @@ def errors(before: Splats, after: Splats) -> dict[str, NDArray[np.float64]]:
         found["position [m]"][part] = np.linalg.norm(moved, axis=1)
         least = np.finfo(np.float32).tiny  # in place of a flat splat's 0
         ratios = np.maximum(new.scales, least) / np.maximum(old.scales, least).astype(np.float64)
-        found["scale [%]"][part] = 100 * np.abs(ratios - 1).max(axis=1)
+        sides = 2 if before.model is Model.DISC else 3  # a disc's third means nothing
+        found["scale [%]"][part] = 100 * np.abs(ratios - 1)[:, :sides].max(axis=1)
         found["rotation [deg]"][part] = np.degrees(_angles(old.orientations, new.orientations))
         found["opacity"][part] = np.abs(old.opacities - new.opacities)
         found["color"][part] = SH_C0 * differ[:, 0]

@@ -26,3 +26,8 @@ def as_array(typecode: str, values: NDArray[np.generic]) -> array[float]:
 def plain_frame(frame_id: str) -> str:
     """A frame's name as tf2 takes it: without the leading slash that ROS 1 wrote."""
     return frame_id.removeprefix("/")
+
+
+def is_frame(frame_id: str, other: str) -> bool:
+    """Whether a message's frame is another one; an empty name stands for that."""
+    return plain_frame(frame_id) in ("", plain_frame(other))

@@ -18,6 +18,7 @@ from rosplat_core.posed_camera import CameraError, PosedCamera
 from rosplat_core.view import SortView
 from rosplat_ros import view_cameras
 from rosplat_ros.batches import array_bytes
+from rosplat_ros.messages import is_frame
 from rosplat_sorter import backends
 from rosplat_sorter.backends import AUTO, Backend, Unavailable
 from rosplat_sorter.map import SplatMap
@@ -369,7 +370,7 @@ class Worker:
         del self._due[view_id]
         viewer = self._viewers[view_id]
         header, splats = viewer.message.header, self._map
-        if header.frame_id not in ("", self._frame_id):
+        if not is_frame(header.frame_id, self._frame_id):
             self._drop_view(
                 viewer.message,
                 f"header.frame_id is '{shown(header.frame_id)}', "

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 import rclpy
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
 
 from rosplat_core.cameras import look_at
 from rosplat_core.generated import generate
@@ -261,6 +263,21 @@ def test_poses_of_a_run_end_where_simulated_time_begins_anew(
     for _ in range(30):
         listener.spin_once()  # takes what is still on its way
     listener.wait(lambda: found(100_000_000))  # so little back that only the clock tells
+
+
+def test_poses_may_name_their_frame_as_ros_1_did(node: Node, listener: Listener) -> None:
+    poses = TopicPoses(node, ["camera"], lambda: None)
+    topic = node.create_publisher(PoseStamped, "camera/pose", 10)
+
+    def found(frame: str) -> bool:
+        topic.publish(PoseStamped(header=Header(frame_id=frame, stamp=Time(sec=7))))
+        try:
+            return poses.newest("camera", "", "map")[0] == 7 * SECOND
+        except PoseError:
+            return False
+
+    listener.wait(lambda: found("/map"))
+    listener.wait(lambda: not found("/odom"))
 
 
 @pytest.mark.usefixtures("publisher")

@@ -11,6 +11,7 @@ import pytest
 
 from rosplat_core.formats import load, save
 from rosplat_core.generated import generate
+from rosplat_core.models import Model
 from rosplat_core.splats import Splats
 from rosplat_tools.convert import main
 
@@ -200,3 +201,14 @@ def test_a_bar_is_for_a_terminal(
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
     assert main(["procedural:40", str(tmp_path / "a.ply")]) == 0
     assert ("reading:" in capsys.readouterr().err) == terminal
+
+
+def test_a_disc_s_third_scale_is_no_error(
+    random_splats: Callable[..., Splats], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A compressed PLY has one, which means nothing, a PLY of discs has none."""
+    source = tmp_path / "a.compressed.ply"
+    save(source, replace(random_splats(20), model=Model.DISC))
+    assert main([str(source), str(tmp_path / "b.ply")]) == 0
+    scale = next(line for line in capsys.readouterr().out.splitlines() if "scale [%]" in line)
+    assert float(scale.split()[-1]) < 0.01

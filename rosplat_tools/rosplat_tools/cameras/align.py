@@ -25,6 +25,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError
 from rosplat_msgs.srv import Align
 from rosplat_ros.diagnostics import Diagnostics
+from rosplat_ros.messages import is_frame
 from rosplat_ros.poses import to_matrix, to_pose
 from rosplat_ros.program.parameters import declare, declare_path
 from rosplat_ros.program.running import run_node
@@ -183,7 +184,7 @@ class AlignNode(Node):
 
     def _start(self, request: Align.Request) -> Pose:
         frame = request.start.header.frame_id
-        if frame not in ("", self._map.frame_id):
+        if not is_frame(frame, self._map.frame_id):
             raise NoPicture(
                 "without a pose",
                 f"start is in '{shown(frame)}', the map is in '{shown(self._map.frame_id)}'",

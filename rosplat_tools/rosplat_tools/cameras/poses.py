@@ -13,6 +13,7 @@ from rclpy.qos import QoSProfile
 
 from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError
+from rosplat_ros.messages import is_frame
 from rosplat_ros.poses import to_matrix, to_pose
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.qos import overridable
@@ -105,7 +106,7 @@ class TopicPoses:
 
     def _check_frame(self, camera: str, map_frame: str) -> None:
         frame = self._frames[camera]
-        if frame not in ("", map_frame):
+        if not is_frame(frame, map_frame):
             raise PoseError(f"poses are in '{shown(frame)}', the map is in '{shown(map_frame)}'")
 
 

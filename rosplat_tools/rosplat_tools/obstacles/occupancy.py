@@ -42,7 +42,7 @@ from rosplat_core.quaternions import from_matrices
 from rosplat_core.splats import InputError
 from rosplat_msgs.srv import MeasureDistances, SaveMap
 from rosplat_ros.diagnostics import Diagnostics, Report
-from rosplat_ros.messages import as_array
+from rosplat_ros.messages import as_array, is_frame
 from rosplat_ros.program.files_below import check_below
 from rosplat_ros.program.parameters import declare, declare_path
 from rosplat_ros.program.running import run_node
@@ -226,9 +226,9 @@ class Occupancy(Node):
         map_frame = self._map.header.frame_id
         frame = self._frame or map_frame
         here, level = np.eye(4), 0.0
-        if self._frames and frame != map_frame:
+        if self._frames and not is_frame(frame, map_frame):
             here = self._frames.pose(map_frame, frame)[1]
-        if self._frames and self._band_frame not in ("", frame):
+        if self._frames and not is_frame(self._band_frame, frame):
             level = float(self._frames.pose(self._band_frame, frame)[1][2, 3])
         moved = np.abs(here - self._map_in_grid)
         if moved[:3, :3].max() > STILL or moved[:3, 3].max() > self._resolution / 10:
@@ -320,7 +320,7 @@ class Occupancy(Node):
     def _pose_of(self, frame: str) -> NDArray[np.float64]:
         """(4, 4) of a frame in that of what is published [m]. Raises InputError."""
         published = self._frame or self._map.header.frame_id
-        if frame in ("", published):
+        if is_frame(frame, published):
             return np.eye(4)
         try:
             self._frames = self._frames or Frames(self)
