@@ -92,7 +92,8 @@ def _is_inria(entry: Any) -> bool:
 def _inria(entry: Entry, path: Path, index: int) -> Entry:
     with refusing(f"{path}: camera {index}"):
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = entry["rotation"], entry["position"]
+        pose[:3, :3] = np.reshape(entry["rotation"], (3, 3))
+        pose[:3, 3] = entry["position"]
         width, height = int(entry["width"]), int(entry["height"])
         return {
             "id": entry.get("id", index), "width": width, "height": height,
@@ -131,6 +132,8 @@ def _frame(
         pose[:3, 3] *= scale
         picture = _picture(path.parent, str(frame.get("file_path", "")))
         width, height = _size(frame, path.parent, picture)
+        if not {"fl_x", "camera_angle_x"} & frame.keys():
+            raise ValueError("neither fl_x nor camera_angle_x")
         fx = frame["fl_x"] if "fl_x" in frame else _focal(width, frame["camera_angle_x"])
         fy = fx
         if "fl_y" in frame:
@@ -157,9 +160,9 @@ def _parsed(document: Entry, path: Path, warn: Warn) -> tuple[NDArray[np.float64
 
 
 def _affine(rows: Any) -> NDArray[np.float64]:
-    """(4, 4) of three or four rows."""
+    """(4, 4) of three or four rows, or of their numbers one after the other."""
     matrix = np.eye(4)
-    matrix[:3] = np.asarray(rows, np.float64)[:3]
+    matrix[:3] = np.asarray(rows, np.float64).reshape(-1, 4)[:3]
     return matrix
 
 
@@ -194,6 +197,8 @@ Image = tuple[str, int, int, tuple[float, ...], tuple[float, ...]]  # name, id, 
 def _colmap(folder: Path, lenses: dict[int, Lens], image: Image, warn: Warn) -> Entry:
     name, number, lens, wxyz, translation = image
     with refusing(f"{folder}: picture {shown(name)}"):
+        if lens not in lenses:
+            raise ValueError(f"no camera {lens}")
         model, width, height, parameters = lenses[lens]
         if model.startswith(NO_PINHOLE):
             raise InputError(f"{folder}: camera model {model} has no pinhole picture")

@@ -220,3 +220,22 @@ def test_fisheyes_by_any_name(tmp_path: Path, more: dict[str, object]) -> None:
     told: list[str] = []
     load_cameras(write(tmp_path / "transforms.json", transforms(**more)), told.append)
     assert "FISHEYE left out" in told[0]
+
+
+def test_matrices_as_lists_of_numbers(tmp_path: Path) -> None:
+    frames = [{"transform_matrix": opengl(camera).ravel().tolist()} for camera in CAMERAS]
+    path = write(tmp_path / "transforms.json", transforms(frames=frames))
+    assert_cameras(load_cameras(path), 321.5, 239.0)
+
+
+def test_what_a_camera_lacks_is_named(tmp_path: Path) -> None:
+    document = transforms()
+    del document["fl_x"]
+    with pytest.raises(InputError, match=r"camera 0: .*neither fl_x nor camera_angle_x"):
+        load_cameras(write(tmp_path / "transforms.json", document))
+    write(tmp_path / "transforms.json", transforms(frames=[{}]))
+    with pytest.raises(InputError, match="camera 0: it has no 'transform_matrix'"):
+        load_cameras(tmp_path / "transforms.json")
+    model = colmap(tmp_path, "PINHOLE 9 9 5 5 4 4", ["1 1 0 0 0 0 0 0 7 a.png"])
+    with pytest.raises(InputError, match=r"picture a\.png: .*no camera 7"):
+        load_cameras(model)

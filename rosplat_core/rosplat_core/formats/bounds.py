@@ -48,7 +48,8 @@ def refusing(what: str) -> Iterator[None]:
     except (
         ValueError, LookupError, TypeError, AttributeError, RecursionError, ArithmeticError,
     ) as error:  # fmt: skip
-        raise InputError(f"{what}: {shown(f'{type(error).__name__}: {error}')}") from error
+        kind = "it has no" if isinstance(error, KeyError) else f"{type(error).__name__}:"
+        raise InputError(f"{what}: {shown(f'{kind} {error}')}") from error
 
 
 def unpackable(held: int) -> int:
