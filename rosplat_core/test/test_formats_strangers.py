@@ -58,3 +58,20 @@ def test_archives_are_named(random_splats: Callable[..., Splats], tmp_path: Path
     ):
         with pytest.raises(InputError, match=rf"{name}: {reason}"):
             load(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "reason"),
+    [
+        ("a.las", b"LASF" + bytes(300), r"a point cloud \(LAS\)"),
+        ("a.pcd", b"# .PCD v0.7 - Point Cloud Data file format\n", r"a point cloud \(PCD\)"),
+        ("a.e57", b"ASTM-E57" + bytes(40), r"a point cloud \(E57\)"),
+        ("a.h5", b"\x89HDF\r\n\x1a\n", "HDF5"),
+        ("a.pth", b"\x80\x02}q\x00.", "a pickle of Python"),
+        ("a.lcc", b'{"version": "5.0"}', "LCC of XGRIDS"),
+    ],
+)
+def test_what_others_keep_is_named(tmp_path: Path, name: str, data: bytes, reason: str) -> None:
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(InputError, match=f"{name}: {reason}"):
+        load(tmp_path / name)

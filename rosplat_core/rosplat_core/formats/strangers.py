@@ -14,6 +14,15 @@ PACKED = {
     b"7z\xbc\xaf\x27\x1c": "a 7z archive", b"Rar!": "a RAR archive",
     b"\x28\xb5\x2f\xfd": "packed by Zstandard",
 }  # fmt: skip
+EXPORT = "have its trainer export a PLY"
+OTHERS = {
+    b"LASF": "a point cloud (LAS), not of splats",
+    b"# .PCD": "a point cloud (PCD), not of splats",
+    b"ASTM-E57": "a point cloud (E57), not of splats",
+    b"\x89HDF": f"HDF5: {EXPORT}",
+    b"\x80\x02": f"a pickle of Python, a checkpoint perhaps: {EXPORT}",
+}
+LCC = (".lcc", ".lcc2")  # XGRIDS'
 PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF")
 MOST_NAMES = 3
 
@@ -41,6 +50,11 @@ def stranger(path: Path, head: bytes) -> str:
     for first, what in PACKED.items():
         if head.startswith(first):
             return f"{what}: unpack it first"
+    for first, what in OTHERS.items():
+        if head.startswith(first):
+            return what
+    if path.suffix.lower() in LCC:
+        return "LCC of XGRIDS, which isn't read: splat-transform makes another format of it"
     if head[257:262] == b"ustar":
         return "a tar archive: unpack it first"
     if head.startswith(PICTURES):
@@ -66,7 +80,7 @@ def _zip(path: Path) -> str:
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
         return "a zip that is cut short or damaged"
     if any(name.endswith("data.pkl") for name in names):
-        return "a checkpoint of PyTorch: have its trainer export a PLY"
+        return f"a checkpoint of PyTorch: {EXPORT}"
     scenes = [name for name in names if name.lower().endswith((".ply", ".splat", ".spz", ".sog"))]
     shown = ", ".join((scenes or names)[:MOST_NAMES]) + ", …" * (len(scenes or names) > MOST_NAMES)
     return f"a zip with {shown or 'nothing'}: unpack it first"
