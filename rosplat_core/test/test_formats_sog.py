@@ -285,10 +285,20 @@ def test_round_trip(
     assert np.abs(back.sh - written.sh).mean() < 0.05
 
 
-def test_splat_transform_s_word_for_discs(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("word", "model"),
+    [("2dgs", Model.DISC), ("disc", Model.DISC), ("antialiased", Model.EWA_ANTIALIASED)],
+)
+def test_words_for_models_are_splat_transform_s_and_ours(
+    random_splats: Callable[..., Splats], tmp_path: Path, word: str, model: Model
+) -> None:
     meta = write_scene(tmp_path)
-    (tmp_path / "meta.json").write_text(json.dumps(meta | {"model": "2dgs"}))
-    assert load(tmp_path).model is Model.DISC
+    (tmp_path / "meta.json").write_text(json.dumps(meta | {"model": word}))
+    assert load(tmp_path).model is model
+    save(tmp_path / "a.sog", random_splats(9, model=model))
+    with zipfile.ZipFile(tmp_path / "a.sog") as bundle:
+        told = json.loads(bundle.read("meta.json"))["model"]
+    assert told == ("2dgs" if model is Model.DISC else "antialiased")
 
 
 @pytest.mark.parametrize("count", [0, 1, 5])

@@ -45,6 +45,9 @@ MODELS = tuple(Model)
 IN_SPACE_ORDER = True
 KEEPS_ORIGIN = True  # as ranges in doubles
 
+# splat-transform's; those of other models are ours.
+WORDS = {Model.EWA_ANTIALIASED: "antialiased", Model.DISC: "2dgs"}
+
 META = "meta.json"
 LARGEST_META = 1 << 20  # of meta.json, which usually takes 15,000 [bytes]
 LONGEST_NAME = 255  # of a file, as most file systems have it
@@ -192,9 +195,9 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
         "sh0": {"codebook": color_book.tolist(), "files": ["sh0.webp"]},
     }
     if splats.model is Model.EWA_ANTIALIASED:
-        meta |= {"antialias": True, "model": "antialiased"}  # the specification's, its writer's
-    elif splats.model is not Model.EWA:
-        meta["model"] = str(splats.model)
+        meta["antialias"] = True  # the specification's
+    if splats.model is not Model.EWA:
+        meta["model"] = WORDS.get(splats.model, str(splats.model))
     with zipfile.ZipFile(stream, "w") as bundle:
 
         def add(name: str, columns: list[NDArray[Any]], shape: tuple[int, int] = shape) -> None:
@@ -348,11 +351,9 @@ class _Reader:
 
     def _model(self) -> Model:
         name = self._meta.get("model")
-        if self._meta.get("antialias") is True or name == "antialiased":
+        if self._meta.get("antialias") is True:
             return Model.EWA_ANTIALIASED
-        if name == "2dgs":  # splat-transform's word
-            return Model.DISC
-        return Model.of(name) if name in list(map(str, Model)) else Model.EWA
+        return next((m for m in Model if name in (str(m), WORDS.get(m, m))), Model.EWA)
 
     def _has_bands(self) -> bool:
         return self._meta.get("shN") is not None
