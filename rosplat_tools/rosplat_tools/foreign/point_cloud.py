@@ -82,7 +82,9 @@ def _rows(message: PointCloud2, name: str) -> NDArray[np.void]:
     """A cloud's points as a structured array, a copy only if the rows are padded."""
     step, width, height = message.point_step, message.width, max(message.height, 1)
     order = ">" if message.is_bigendian else "<"
-    names, formats, offsets = [], [], []
+    names: list[str] = []
+    formats: list[np.dtype[Any]] = []
+    offsets: list[int] = []
     for field in message.fields:
         if field.datatype not in _TYPES or field.name in _PADDING:
             continue
