@@ -38,6 +38,9 @@ TEST(NodeOf, IsEmptyForANodeNotHeardOf) {
 TEST(OtherUserSharesMemory, LooksAtFastDdsFilesAlone) {
   const auto folder = std::filesystem::temp_directory_path() / ("shm_" + std::to_string(getpid()));
   std::filesystem::create_directory(folder);
+  const auto found = [&](const std::string& middleware = "rmw_fastrtps_cpp") {
+    return rosplat::otherUserSharesMemory(folder, middleware);
+  };
   const auto own = [&](const char* name, uid_t user) {
     const std::string path = folder / name;
     std::ofstream{path};
@@ -46,10 +49,12 @@ TEST(OtherUserSharesMemory, LooksAtFastDdsFilesAlone) {
   EXPECT_FALSE(rosplat::otherUserSharesMemory(folder / "missing"));
   EXPECT_TRUE(own("fastrtps_1", geteuid()));
   const bool root = own("lttng", geteuid() + 1);  // only root gives files away
-  EXPECT_FALSE(rosplat::otherUserSharesMemory(folder));
+  EXPECT_FALSE(found());
   if (root) {
     EXPECT_TRUE(own("fastrtps_2", geteuid() + 1));
-    EXPECT_TRUE(rosplat::otherUserSharesMemory(folder));
+    EXPECT_TRUE(found());
+    EXPECT_TRUE(found("rmw_fastrtps_dynamic_cpp"));
+    EXPECT_FALSE(found("rmw_cyclonedds_cpp"));  // those files are of other programs
   }
   std::filesystem::remove_all(folder);
 }

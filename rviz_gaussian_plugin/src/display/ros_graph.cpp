@@ -16,7 +16,8 @@ std::string nodeOf(const rclcpp::TopicEndpointInfo& endpoint) {
   return (space == "/" ? "" : space) + "/" + name;
 }
 
-bool otherUserSharesMemory(const std::string& folder) {
+bool otherUserSharesMemory(const std::string& folder, const std::string& middleware) {
+  if (middleware.rfind("rmw_fastrtps", 0) != 0) return false;
   std::error_code error;
   for (const auto& file : std::filesystem::directory_iterator(folder, error)) {
     struct stat of{};

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <rmw/rmw.h>
+
 #include <rclcpp/rclcpp.hpp>
 #include <string>
 
@@ -9,7 +11,9 @@ namespace rosplat {
 // unknown: discovery tells of endpoints before their nodes.
 std::string nodeOf(const rclcpp::TopicEndpointInfo& endpoint);
 
-// Whether Fast DDS's shared memory in a folder is another user's, which can't write to ours.
-bool otherUserSharesMemory(const std::string& folder = "/dev/shm");
+// Whether Fast DDS, if it is the middleware, has another user's shared memory in a folder, which
+// can't write to ours.
+bool otherUserSharesMemory(const std::string& folder = "/dev/shm",
+                           const std::string& middleware = rmw_get_implementation_identifier());
 
 }  // namespace rosplat
