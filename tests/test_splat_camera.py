@@ -17,7 +17,7 @@ from rosplat_core.first_look import sample
 from rosplat_core.formats import load
 from rosplat_core.generated import generate
 from rosplat_core.quaternions import from_matrices
-from rosplat_core.rendering import CpuRenderer, insert_groups, move, posed
+from rosplat_core.rendering import CpuRenderer, Rasterizer, insert_groups, move, posed
 from rosplat_core.rigid import placed
 from rosplat_core.splats import InputError, Splats
 from rosplat_core.upright import find_up, standing_pose
@@ -206,6 +206,38 @@ def test_environments_of_a_model_share_a_camera_in_any_thread(model: Any) -> Non
     other = mujoco.MjModel.from_xml_string("<mujoco><worldbody><body/></worldbody></mujoco>")
     with pytest.raises(ValueError, match="data: expected an MjData of the SplatCamera's model"):
         eye.render("first", mujoco.MjData(other))
+
+
+@pytest.mark.parametrize("rasterizer", [Rasterizer.PROCESSOR, Rasterizer.TILES])
+def test_a_card_draws_the_same(model: Any, data: Any, display: str, rasterizer: Rasterizer) -> None:
+    """By OpenGL, with splats that ride, from another thread; bodies hide splats to the pixel."""
+    offscreen = pytest.importorskip("rviz_gaussian_plugin.offscreen")
+    splats, on_body = cloud(), placed(np.array([0.3, 0.0, -0.1]), turned([0.4, 0.1, -0.2]))
+    riding = {"ball": (splats[:50], on_body)}
+    card = offscreen.CardRenderer(splats)
+    try:
+        card.settings.rasterizer = rasterizer
+        eye = SplatCamera(model, data, card, riding=riding, width=150, height=130)
+        twin = SplatCamera(model, data, splats, riding=riding, width=150, height=130)
+        bare = SplatCamera(model, data, splats[:0], width=150, height=130)
+        with ThreadPoolExecutor(1) as another:
+            for name in (*CAMERAS, CAMERAS[0]):
+                picture = another.submit(eye.picture, name).result()
+                expected = twin.picture(name)
+                assert decibels(picture.colour / 255, expected.colour / 255) >= 55
+                assert np.mean(np.isinf(picture.depth) != np.isinf(expected.depth)) < 2e-3
+                bodies = expected.depth == bare.picture(name).depth
+                assert np.mean(picture.depth[bodies] == expected.depth[bodies]) > 0.998
+        with pytest.raises(ValueError, match="scene_depth: expected float32"):
+            card.picture(
+                eye.camera("first"),
+                scene_depth=np.ones((3, 4), np.float32),
+                beside=[*eye.riders.at(data, np.eye(4))],
+            )
+        with pytest.raises(ValueError, match="one SplatCamera has `riding`"):
+            SplatCamera(model, data, card).render("first")
+    finally:
+        card.close()
 
 
 def test_without_opengl_the_map_alone_is_seen_and_it_says_why(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from threading import Lock
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,23 @@ def psnr_of(square: float) -> float:
 MOST_THREADS = 1024
 BATCH_BYTES = 8_000_000  # as in publishers' batches
 MAP = "map"
+
+
+class Renderer(Protocol):
+    """Holds a map and draws it: a CpuRenderer, or rviz_gaussian_plugin.offscreen.CardRenderer."""
+
+    def beside(self) -> Any:
+        """Another map, empty, whose pictures this draws with its own; it has `apply`."""
+
+    def picture(
+        self,
+        camera: Camera,
+        *,
+        scene_depth: NDArray[np.float32] | None = None,
+        beside: Sequence[Any] = (),
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """What a camera sees, as CpuRenderer.render() has it, and depths (height, width) along its
+        z [m]. beside: maps to draw, too, which beside() made."""
 
 
 class CpuRenderer(_core.CpuRenderer):
@@ -88,6 +105,23 @@ class CpuRenderer(_core.CpuRenderer):
             raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
         colour: NDArray[np.float32] = self.draw(posed(camera), scene_depth=scene_depth)["colour"]
         return colour
+
+    def beside(self) -> CpuRenderer:
+        """Another map, as of Renderer."""
+        return CpuRenderer()
+
+    def picture(
+        self,
+        camera: Camera,
+        *,
+        scene_depth: NDArray[np.float32] | None = None,
+        beside: Sequence[CpuRenderer] = (),
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """As of Renderer. Depths are where half of the light is left."""
+        drawn = self.draw(
+            posed(camera), beside=list(beside), median_depth=True, scene_depth=scene_depth
+        )
+        return drawn["colour"], drawn["depth"][..., 0]
 
     def snapshot(self) -> tuple[NDArray[np.uint32], Splats]:
         """The slots in use, (n,), and their splats as they are drawn, in the map's frame."""

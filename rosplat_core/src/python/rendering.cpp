@@ -111,32 +111,16 @@ std::optional<PictureLens> lensOf(const std::optional<LensOfPicture>& given) {
   return PictureLens{curve, end, widest, by_distance};
 }
 
-// Window depths of opaque objects at depths z [m], rounded as the kernels round those of splats.
-// Sets the camera's depth buffer.
-std::vector<float> windowDepths(SplatCamera& camera, const Array<float>& z) {
-  if (z.ndim() != 2 || z.shape(0) != camera.height || z.shape(1) != camera.width) {
-    throw std::invalid_argument("scene_depth: expected float32 (height, width) of the camera");
-  }
+// Sets a camera's depth buffer to end just beyond opaque objects at depths z [m].
+void fitDepthBuffer(SplatCamera& camera, const Array<float>& z) {
   const double near_clip = camera.near_clip;
-  double far_clip = near_clip + 1;  // just beyond all objects: an orthographic buffer is uniform
+  double far_clip = near_clip + 1;  // an orthographic buffer is uniform
   std::for_each(z.data(), z.data() + z.size(), [&](float depth) {
     if (std::isfinite(depth)) far_clip = std::max(far_clip, 1.01 * depth);
   });
   far_clip = std::min(far_clip, depthRange(near_clip, camera.far_clip));
   std::tie(camera.ndc_scale, camera.ndc_offset) =
       depthBuffer(camera.orthographic, near_clip, far_clip);
-  const float scale = float(camera.ndc_scale), offset = float(camera.ndc_offset);
-  const float farthest = float(far_clip);  // beyond it, nothing hides anything
-  std::vector<float> depths(std::size_t(z.size()));
-  std::transform(z.data(), z.data() + z.size(), depths.begin(), [&](float depth) {
-    if (!(camera.orthographic ? depth == depth : depth > 0)) {
-      throw std::invalid_argument("scene_depth: expected depths in front of the camera, or inf");
-    }
-    if (depth >= farthest) return 1.0f;
-    const float ndc = (scale * depth + offset) / (camera.orthographic ? 1.0f : depth);
-    return std::clamp(0.5f * ndc + 0.5f, 0.0f, 1.0f);
-  });
-  return depths;
 }
 
 py::dict drawOnCpu(CpuRenderer& renderer, SplatCamera camera, bool mean_depth, bool median_depth,
@@ -150,7 +134,10 @@ py::dict drawOnCpu(CpuRenderer& renderer, SplatCamera camera, bool mean_depth, b
     throw std::invalid_argument("a picture has one of samples, lens and scene_depth");
   }
   std::vector<float> opaque;
-  if (scene_depth) opaque = windowDepths(camera, *scene_depth);
+  if (scene_depth) {
+    fitDepthBuffer(camera, *scene_depth);
+    opaque = windowDepths(camera, *scene_depth);
+  }
   PictureRequest request = requestOf(renderer, camera, order);
   for (const CpuRenderer* other : beside) request.layers.push_back(layerOf(*other, camera));
   if (mean_depth) request.depth = PictureDepth::kMean;

@@ -18,7 +18,7 @@ import numpy as np
 from ament_index_python.packages import get_package_share_directory
 
 from rosplat_core.generated.rooms import Rooms
-from rosplat_core.rendering import CpuRenderer
+from rosplat_core.rendering import CpuRenderer, Renderer
 from rosplat_core.scenes import ROOMS
 from rosplat_core.splats import InputError, Splats
 from rosplat_core.upright import find_up
@@ -63,6 +63,7 @@ def measure(plan: Plan) -> Iterator[Event]:
     for number, name in enumerate([*rooms, *plan.scenes]):
         yield Doing(name, number / (len(rooms) + len(plan.scenes)))
         yield from isolated(_filmed, name, plan.budget)
+        yield from isolated(_filmed_by_card, name, plan.budget)
         yield from isolated(_beside, name)
         if name in rooms:
             yield from isolated(_scanned, name, plan.budget)
@@ -73,21 +74,40 @@ def _filmed(name: str, budget: Budget) -> Iterator[Event]:
     began = time.perf_counter()
     stands = _turning(name, splats)
     put = time.perf_counter() - began
+    yield Measurement.of("solid parts of the map", "s", put, name, len(splats), boxes=stands.boxes)
+    yield from _pictures(name, splats, stands, CpuRenderer(splats), "", budget)
+
+
+def _filmed_by_card(name: str, budget: Budget) -> Iterator[Event]:
+    from rviz_gaussian_plugin.offscreen import CardRenderer, ensure_display
+
+    with ensure_display():
+        splats = scenes.load(name)
+        card = CardRenderer(splats)
+        if "llvmpipe" in card.device:
+            yield Skipped(f"pictures by a graphics card: there is {card.device}")
+        else:
+            yield from _pictures(name, splats, _turning(name, splats), card, card.device, budget)
+        card.close()
+
+
+def _pictures(
+    name: str, splats: Splats, stands: Standing, renderer: Renderer, gpu: str, budget: Budget
+) -> Iterator[Event]:
     robot = stands.robot
-    eye = SplatCamera(robot.model, robot.data, splats, map_pose=stands.map_pose)
+    eye = SplatCamera(robot.model, robot.data, renderer, map_pose=stands.map_pose)
     if eye.problem:
         yield Skipped(f"bodies in pictures: {eye.problem}")
 
     def of(quantity: str, work: Callable[[], object]) -> Iterator[Event]:
         samples, used = _timed(work, budget)
-        yield Measurement.of(quantity, "ms", samples, name, len(splats))
-        yield Measurement.of(f"{quantity}, processor", "core-ms", used, name, len(splats))
+        yield Measurement.of(quantity, "ms", samples, name, len(splats), gpu)
+        yield Measurement.of(f"{quantity}, processor", "core-ms", used, name, len(splats), gpu)
 
     def live() -> None:
         robot.step(PERIOD)
         eye.render(CAMERA)
 
-    yield Measurement.of("solid parts of the map", "s", put, name, len(splats), boxes=stands.boxes)
     yield from of(f"physics of {PERIOD:g} s", lambda: robot.step(PERIOD))
     yield from of("picture and depth, with physics", live)
     yield from of("picture and depth, with bodies", lambda: eye.picture(CAMERA, bodies=True))
@@ -95,7 +115,7 @@ def _filmed(name: str, budget: Budget) -> Iterator[Event]:
         robot.model.cam_resolution[robot.model.camera(CAMERA).id] = size
         for count in ENVIRONMENTS:
             yield Measurement.of(
-                "steps a second", "1/s", _steps(stands, eye, count, budget), name, len(splats),
+                "steps a second", "1/s", _steps(stands, eye, count, budget), name, len(splats), gpu,
                 environments=count, pixels=f"{size[0]}x{size[1]}",
             )  # fmt: skip
 

@@ -12,6 +12,7 @@ from sensor_msgs.msg import CameraInfo, Image, LaserScan, PointCloud2
 from std_msgs.msg import Header
 
 from rosplat_core.lenses import Lens
+from rosplat_core.rendering import CpuRenderer
 from rosplat_core.rigid import placed
 from rosplat_ros.images import to_image
 from rosplat_ros.qos import overridable
@@ -88,6 +89,7 @@ class LidarTopics:
         """Measures now, if somebody hears it."""
         if not any(p.get_subscription_count() for p in (self._points, self._scan)):
             return
+        assert isinstance(eye.renderer, CpuRenderer)  # the node's own
         site = robot.data.site(LIDAR)
         pose = placed(site.xpos, site.xmat)
         beside = eye.riders.at(robot.data, eye.map_pose)

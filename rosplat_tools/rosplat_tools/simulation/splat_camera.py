@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.cameras import Camera
 from rosplat_core.quaternions import from_matrices
-from rosplat_core.rendering import CpuRenderer, insert_groups, move, posed
+from rosplat_core.rendering import CpuRenderer, Renderer, insert_groups, move
 from rosplat_core.rigid import placed, rigid
 from rosplat_core.splats import Splats
 from rosplat_tools.simulation.body_pictures import BodyPicture, BodyPictures, NoGL, camera_of
@@ -55,7 +55,7 @@ class SplatCamera:
         self,
         model: Any,
         data: Any,
-        splats: Splats | CpuRenderer,
+        splats: Splats | Renderer,
         *,
         map_pose: ArrayLike | None = None,
         riding: Mapping[str, tuple[Splats, ArrayLike]] | None = None,
@@ -77,9 +77,9 @@ class SplatCamera:
         """
         self._mj = load_mujoco()
         self._model, self._data = model, data
-        self.renderer = splats if isinstance(splats, CpuRenderer) else CpuRenderer(splats)
+        self.renderer = CpuRenderer(splats) if isinstance(splats, Splats) else splats
         self.map_pose = rigid(np.eye(4) if map_pose is None else map_pose, "map_pose")
-        self.riders = Riders(model, riding or {})
+        self.riders = Riders(model, riding or {}, self.renderer)
         """The splats that ride on bodies."""
         self._size, self._clip = (width, height), (near, far)
         self.problem = ""
@@ -107,13 +107,12 @@ class SplatCamera:
         in_map = Camera(**(vars(lens) | {"world_to_camera": lens.world_to_camera @ self.map_pose}))
         with self._drawing:
             solid = self._bodies.draw(data, lens.id, lens, bodies=bodies) if self._bodies else None
-            drawn = self.renderer.draw(
-                posed(in_map),
-                beside=self.riders.at(data, self.map_pose),
-                median_depth=True,
+            colour, depth = self.renderer.picture(
+                in_map,
                 scene_depth=solid.depth if solid else None,
+                beside=self.riders.at(data, self.map_pose),
             )
-        return _together(drawn["colour"], drawn["depth"][..., 0], solid, lens, bodies)
+        return _together(colour, depth, solid, lens, bodies)
 
     def camera(self, camera: int | str, data: Any = None) -> Camera:
         """A camera of the model, by its number or name, as it is now in MuJoCo's world."""
@@ -144,8 +143,10 @@ class SplatCamera:
 class Riders:
     """Splats that ride on bodies of a MuJoCo model, each body's in a group of their own."""
 
-    def __init__(self, model: Any, riding: Mapping[str, tuple[Splats, ArrayLike]]) -> None:
-        """riding: as of SplatCamera. Raises ValueError."""
+    def __init__(
+        self, model: Any, riding: Mapping[str, tuple[Splats, ArrayLike]], renderer: Renderer
+    ) -> None:
+        """riding: as of SplatCamera. renderer: draws them. Raises ValueError."""
         mj = load_mujoco()
         self._bodies: list[tuple[int, Array]] = []
         for name, (_, pose) in riding.items():
@@ -153,23 +154,23 @@ class Riders:
             if body < 0:
                 raise ValueError(f"riding: the model has no body '{name}'")
             self._bodies.append((body, rigid(pose, f"riding['{name}']")))
-        self._renderer = CpuRenderer()
-        self._revision = insert_groups(self._renderer, [splats for splats, _ in riding.values()])
+        self._map = renderer.beside() if riding else None
+        self._revision = insert_groups(self._map, [splats for splats, _ in riding.values()])
 
-    def at(self, data: Any, map_pose: Array) -> list[CpuRenderer]:
-        """The renderers to draw beside a map, with their splats where the bodies are now.
+    def at(self, data: Any, map_pose: Array) -> list[Any]:
+        """The maps to draw beside another, with their splats where the bodies are now.
 
         data: MjData. map_pose: (4, 4) the map's pose in MuJoCo's world [m].
         """
-        if not self._bodies:
+        if not self._map:
             return []
         self._revision += 1
         poses = {
             number: (*pose[:3, 3].tolist(), *from_matrices(pose[:3, :3]).tolist())
             for number, pose in self.poses(data, map_pose).items()
         }
-        move(self._renderer, poses, self._revision)
-        return [self._renderer]
+        move(self._map, poses, self._revision)
+        return [self._map]
 
     def poses(self, data: Any, map_pose: Array) -> dict[int, Array]:
         """By number, each one's pose (4, 4) in the map's frame. [m]"""
@@ -182,7 +183,7 @@ class Riders:
 
 def _together(
     colour: NDArray[np.float32],
-    median: NDArray[np.float32],
+    depth_of_splats: NDArray[np.float32],
     solid: BodyPicture | None,
     camera: Camera,
     bodies: bool,
@@ -192,7 +193,7 @@ def _together(
     surface = alpha[..., 0] >= SURFACE
     if solid:
         rgb = rgb + (1 - alpha) * (solid.colour * np.float32(1 / 255))
-    depth = np.where(surface, median, solid.depth if solid else np.float32(np.inf))
+    depth = np.where(surface, depth_of_splats, solid.depth if solid else np.float32(np.inf))
     numbers = None
     if bodies:
         numbers = np.zeros(depth.shape, np.uint16)

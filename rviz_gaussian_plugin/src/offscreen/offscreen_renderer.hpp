@@ -1,6 +1,7 @@
 #pragma once
 
 #include <OgreLogManager.h>
+#include <OgreRectangle2D.h>
 #include <OgreRoot.h>
 #include <OgreTexture.h>
 
@@ -35,10 +36,12 @@ class OffscreenRenderer {
   OrderReader order_reader;  // for one thread at a time
 
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
-  // Draws all maps as a view's camera sees them; sort_now: sorts here, waits for no order. Reports
+  const SplatCamera& cameraOf(const std::string& view_id) const;
+  // Draws all maps as a view's camera sees them; sort_now: sorts here, waits for no order. opaque:
+  // window depths of objects, top row first, that hide the splats behind them, or empty. Reports
   // on scene(), but the splats of all maps. Throws std::runtime_error, as do the functions that
   // read a picture if there is none.
-  FrameReport draw(const std::string& view_id, bool sort_now);
+  FrameReport draw(const std::string& view_id, bool sort_now, const std::vector<float>& opaque);
 
   // Puts a white box into the map's frame [m], which hides the splats behind it: opaque, or
   // translucent if opacity is below 1. A size of 0 removes the box.
@@ -60,10 +63,12 @@ class OffscreenRenderer {
   bool failed() const;
 
  private:
-  const SplatCamera& cameraOf(const std::string& view_id) const;
   SplatScene& drawn();
   void resize(int width, int height);
   void paintBackground();
+  // Puts depths into the depth buffer before the splats are drawn; empty: none.
+  void setOpaque(const std::vector<float>& window_depths);
+  void makeOpaque();
   // Fills the picture with the background, by a shader.
   void clear() const;
   void update();
@@ -73,6 +78,7 @@ class OffscreenRenderer {
   Ogre::SceneManager* manager_ = nullptr;
   Ogre::Camera* camera_ = nullptr;
   Ogre::TexturePtr texture_;
+  std::unique_ptr<Ogre::Rectangle2D> opaque_;  // covers the picture, and draws depths alone
   std::array<float, 3> background_{};
   std::optional<gl::Program> clear_;                 // unset without a graphics card
   std::vector<std::unique_ptr<SplatCloud>> clouds_;  // one for each map

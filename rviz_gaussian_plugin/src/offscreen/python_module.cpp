@@ -70,11 +70,14 @@ std::string readOrder(OffscreenRenderer& renderer, const std::string& view_id,
   return renderer.order_reader.takeRemark();
 }
 
-py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool sort_now) {
+py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool sort_now,
+              const std::optional<Array<float>>& scene_depth) {
+  std::vector<float> opaque;
+  if (scene_depth) opaque = windowDepths(renderer.cameraOf(view_id), *scene_depth);
   FrameReport report;
   {
     const py::gil_scoped_release release;  // so that orders needn't wait for the frame
-    report = renderer.draw(view_id, sort_now);
+    report = renderer.draw(view_id, sort_now, opaque);
   }
   const DrawnBytes bytes = renderer.scene().bytes();
   return py::dict("splats"_a = report.splats, "error"_a = report.error,
@@ -133,7 +136,7 @@ PYBIND11_MODULE(_offscreen, module) {
       .def(
           "upload", [](OffscreenRenderer& r, bool all) { r.scene().upload(r.settings, all); },
           "all"_a = false, py::call_guard<py::gil_scoped_release>())
-      .def("draw", &draw, "view_id"_a, "sort_now"_a = false)
+      .def("draw", &draw, "view_id"_a, "sort_now"_a = false, "scene_depth"_a = py::none())
       .def("read_color",
            [](OffscreenRenderer& r) { return toArray(r.readColor(), {r.height(), r.width(), 4}); })
       .def("read_depth",

@@ -6,8 +6,10 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
+#include <limits>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -51,6 +53,25 @@ inline SplatCamera cameraOf(const std::array<double, 3>& position,
   }
   return makeCamera(position, orientation, projection == 1, fx, fy, cx, cy, width, height,
                     near_clip, far_clip);
+}
+
+// Window depths, in a camera's depth buffer, of opaque objects at depths z (height, width) [m], inf
+// where there is none; rounded as the kernels round those of splats.
+inline std::vector<float> windowDepths(const SplatCamera& camera, const Array<float>& z) {
+  if (z.ndim() != 2 || z.shape(0) != camera.height || z.shape(1) != camera.width) {
+    throw std::invalid_argument("scene_depth: expected float32 (height, width) of the camera");
+  }
+  const float scale = float(camera.ndc_scale), offset = float(camera.ndc_offset);
+  std::vector<float> depths(std::size_t(z.size()));
+  std::transform(z.data(), z.data() + z.size(), depths.begin(), [&](float depth) {
+    if (!(camera.orthographic ? depth == depth : depth > 0)) {
+      throw std::invalid_argument("scene_depth: expected depths in front of the camera, or inf");
+    }
+    if (depth == std::numeric_limits<float>::infinity()) return 1.0f;
+    const float ndc = (scale * depth + offset) / (camera.orthographic ? 1.0f : depth);
+    return std::clamp(0.5f * ndc + 0.5f, 0.0f, 1.0f);
+  });
+  return depths;
 }
 
 // Reads a GaussianArray, or anything with its fields, by name. Fields that are missing are as in an
