@@ -5,7 +5,9 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -13,12 +15,13 @@ import pytest
 from rosplat_core.cameras import save_cameras
 from rosplat_core.formats import save as save_scene
 from rosplat_core.generated import generate
+from rosplat_core.models import Model
 from rosplat_core.splats import InputError
 from rosplat_lab.bench import bound, rviz, scenes, simplify, streaming
 from rosplat_lab.bench.command import main
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.records import Record, load
-from rosplat_lab.bench.renderers import RENDERERS
+from rosplat_lab.bench.renderers import RENDERERS, GsplatRenderer
 from rosplat_testing import PATIENCE
 
 
@@ -97,6 +100,25 @@ def test_other_renderers_are_measured_beside_the_display_s(tmp_path: Path) -> No
     by_cpu = {r.name: r.value for r in records if r.parameters["variant"] == "cpu"}
     assert by_cpu.keys() == {"frame", "PSNR"}
     assert by_cpu["PSNR"] > 70
+
+
+def test_gsplat_draws_each_map_by_its_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    gsplat = MagicMock(__version__="")
+    monkeypatch.setitem(sys.modules, "gsplat", gsplat)
+    monkeypatch.setitem(sys.modules, "torch", MagicMock())
+    splats = generate(5)
+    renderer = GsplatRenderer()
+    for model, function, settings in (
+        (Model.EWA, gsplat.rasterization, {}),
+        (Model.RAY, gsplat.rasterization, {"with_ut": True, "with_eval3d": True}),
+        (Model.DISC, gsplat.rasterization_2dgs, {}),
+    ):
+        function.reset_mock()
+        renderer.set_map(replace(splats, model=model))
+        renderer.set_camera(scenes.overview(splats, 64, 48, 1)[0])
+        renderer.draw()
+        told = function.call_args.kwargs
+        assert {name: told[name] for name in told if name.startswith("with_")} == settings
 
 
 def test_levels_of_detail_are_built_repaired_and_faded(tmp_path: Path) -> None:

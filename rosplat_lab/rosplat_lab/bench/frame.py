@@ -63,7 +63,7 @@ def variants() -> dict[str, Variant]:
         "translucent": Variant(translucent=True),
         "four maps": Variant(maps=4),
         # The same map, as if it had been trained so.
-        **{str(model): Variant({"model": model}) for model in (Model.RAY, Model.DISC)},
+        **{str(model): Variant({"model": model}) for model in (Model.EWA, Model.RAY, Model.DISC)},
     }
 
 

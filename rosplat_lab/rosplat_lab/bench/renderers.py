@@ -148,6 +148,15 @@ class DisplayRenderer:
         return self.report["map_bytes"], self.report["gpu_bytes"]
 
 
+GSPLAT: dict[Model, tuple[str, dict[str, Any]]] = {
+    Model.EWA: ("rasterization", {}),
+    Model.EWA_ANTIALIASED: ("rasterization", {"rasterize_mode": "antialiased"}),
+    Model.RAY: ("rasterization", {"with_ut": True, "with_eval3d": True}),
+    Model.DISC: ("rasterization_2dgs", {}),
+}
+"""gsplat's function for maps of a model, and what it is told."""
+
+
 class GsplatRenderer:
     """gsplat's rasterisation by CUDA, without gradients, until its colours are on the GPU."""
 
@@ -162,7 +171,7 @@ class GsplatRenderer:
 
     def set_map(self, splats: Splats) -> None:
         self._origin = splats.origin
-        self._antialiased = splats.model is Model.EWA_ANTIALIASED
+        self._model = splats.model
         self._take(
             self._put(splats.positions),
             self._put(np.roll(splats.orientations, 1, axis=1)),  # w first
@@ -204,11 +213,11 @@ class GsplatRenderer:
 
     def _rasterise(self, camera: Camera) -> Any:
         """The picture on the GPU, (1, height, width, 3 or more)."""
-        return self._gsplat.rasterization(
+        function, settings = GSPLAT[self._model]
+        return getattr(self._gsplat, function)(
             *self._splats, self._view, self._lens, camera.width, camera.height,
             near_plane=camera.near, far_plane=camera.far, sh_degree=self._degree, packed=False,
-            rasterize_mode="antialiased" if self._antialiased else "classic",
-            camera_model="ortho" if camera.orthographic else "pinhole",
+            **settings,
         )[0]  # fmt: skip
 
 
@@ -226,8 +235,8 @@ class GsplatInferenceRenderer(GsplatRenderer):
     def _take(
         self, means: Any, quats: Any, scales: Any, opacities: Any, sh: Any, degree: int
     ) -> None:
-        if self._antialiased:
-            raise ValueError("it has no opacity compensation")
+        if self._model is not Model.EWA:
+            raise ValueError(f"it draws {Model.EWA}, not {self._model}")
         unit = quats / quats.norm(dim=-1, keepdim=True)
         scene = self._scene.from_gaussian_tensors(
             means, unit, scales, opacities, sh, degree, "none", id="map"
