@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -215,6 +216,7 @@ def test_a_card_draws_the_same(model: Any, data: Any, display: str, rasterizer: 
     splats, on_body = cloud(), placed(np.array([0.3, 0.0, -0.1]), turned([0.4, 0.1, -0.2]))
     riding = {"ball": (splats[:50], on_body)}
     card = offscreen.CardRenderer(splats)
+    assert os.environ["__GLVND_DISALLOW_PATCHING"] == "1"  # before EGL begins: NVIDIA needs it
     try:
         card.settings.rasterizer = rasterizer
         eye = SplatCamera(model, data, card, riding=riding, width=150, height=130)

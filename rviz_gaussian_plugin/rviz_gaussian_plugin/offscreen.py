@@ -44,6 +44,8 @@ class CardRenderer:
 
     def __init__(self, splats: Splats) -> None:
         check_splats(splats)
+        # Else NVIDIA's GLX keeps its EGL, by which MuJoCo draws bodies, out of this process.
+        os.environ.setdefault("__GLVND_DISALLOW_PATCHING", "1")
         self._thread = ThreadPoolExecutor(1, "card")  # OpenGL is one thread's
         self._renderer: Renderer = self._thread.submit(Renderer).result()
         self.settings: RenderSettings = self._renderer.settings

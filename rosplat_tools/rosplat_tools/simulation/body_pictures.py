@@ -195,6 +195,8 @@ def _plain_quality(model: Any, width: int, height: int) -> Iterator[None]:
 def _open(width: int, height: int) -> Any:
     """A context of OpenGL without a window: MUJOCO_GL's, or else the first that there is."""
     wanted = os.environ.get("MUJOCO_GL", "").lower()
+    # Else NVIDIA's EGL and its GLX, by which a CardRenderer draws, keep one another out.
+    os.environ.setdefault("__GLVND_DISALLOW_PATCHING", "1")
     reasons = []
     for name in (wanted,) if wanted in ("egl", "osmesa") else ("egl", "osmesa"):
         try:
