@@ -12,7 +12,7 @@ import pytest
 from drawing import CAMERAS, cloud, decibels
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.generated import generate
-from rosplat_core.lens_pictures import take_picture
+from rosplat_core.lens_pictures import Shutter, take_picture
 from rosplat_core.lenses import Lens, LensError, Straightened, Warp
 from rosplat_core.models import Model
 from rosplat_core.rendering import Contributions, CpuRenderer, DrawMode, posed
@@ -239,6 +239,27 @@ def test_a_wide_fisheye_sees_what_narrow_cameras_see() -> None:
     seen = cv2.remap(wide, x, y, cv2.INTER_CUBIC)
     assert aside.std() > 0.05  # there was something to see
     assert decibels(seen, aside) >= 28  # each picture blurs by 0.3 px^2 of its own pixels
+
+
+@pytest.mark.parametrize("model", [Model.EWA, Model.RAY])
+@pytest.mark.parametrize("name", ["pinhole", "plumb_bob", "round"])
+def test_a_rolling_shutter_that_rests_sees_the_whole_picture(name: str, model: Model) -> None:
+    lens = {
+        "pinhole": Lens(**SIZE),
+        "plumb_bob": LENSES["plumb_bob"],
+        # Of 180 degrees, and dark above and below.
+        "round": Lens(100, 150, 35.0, 35.0, 49.5, 74.5, "ftheta", (0, 1, 0, 0, 0, 0, 1.57)),
+    }[name]
+    renderer, wanted = CpuRenderer(cloud(model)), {"depth": "expected", "normals": True}
+    whole = take_picture(renderer, Warp(lens), EYE, **wanted)
+    rows = Shutter(lens).take(renderer, lambda _: EYE, **wanted)
+    assert decibels(rows.colour, whole.colour) > (45 if name == "plumb_bob" else 60)
+    for taken, known in ((rows.depth, whole.depth), (rows.normals, whole.normals)):
+        assert taken is not None and known is not None and taken.shape == known.shape
+        assert np.mean(np.isnan(taken) != np.isnan(known)) < 2e-3
+        both = np.isfinite(taken) & np.isfinite(known)
+        assert np.isclose(taken[both], known[both], rtol=0.02, atol=0.02).mean() > 0.98
+    assert Warp(lens).met.any(axis=1).all() != (name == "round")
 
 
 @pytest.mark.parametrize("kind", ["median", "expected"])

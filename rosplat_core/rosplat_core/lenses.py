@@ -512,12 +512,13 @@ class Warp:
     which leaves shapes as they are, or two, ahead and behind.
     """
 
-    def __init__(self, lens: Lens) -> None:
-        """Raises LensError for too large a picture to draw, or a fold of the distortion in view.
+    def __init__(self, lens: Lens, beyond: tuple[int, int] = (0, 0)) -> None:
+        """beyond: how many rows the whole picture has above and below these, if they are a band of
+        it. Raises LensError for too large a picture to draw, or a fold of the distortion in view.
 
         Around the round picture of a fisheye, though, pixels may have no ray.
         """
-        self.lens = lens
+        self.lens, self.beyond = lens, beyond
         self.met: NDArray[np.bool_] = np.ones((lens.height, lens.width), bool)
         """(height, width) whether a ray arrives at a pixel."""
         self.samples: list[Samples] = []
