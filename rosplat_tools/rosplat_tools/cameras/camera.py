@@ -221,7 +221,12 @@ class _Camera:
         depth, shot = self._shot.depth if listened[1] else "", self._shot
         world_to_lens = np.linalg.inv(pose).astype(np.float64)
         self._map.publish_cameras(self._name, warp.cameras(world_to_lens, shot.near, shot.far))
-        wanted = {"near": shot.near, "far": shot.far, "depth": depth, "normals": listened[2]}
+        wanted: dict[str, Any] = {
+            "near": shot.near,
+            "far": shot.far,
+            "depth": depth,
+            "normals": listened[2],
+        }
 
         def moved(share: float) -> NDArray[np.float64]:
             at = exposed + round(share * self._readout)
