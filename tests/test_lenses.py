@@ -450,6 +450,24 @@ def test_a_panorama_sees_along_its_rays_all_around() -> None:
     assert decibels(picture.colour, rgba[..., :3]) >= 70
 
 
+@pytest.mark.parametrize("model", [Model.EWA, Model.RAY, Model.DISC], ids=str)
+def test_a_panorama_has_no_seam_behind_and_no_hole_at_the_poles(model: Model) -> None:
+    """Turned around, it is the same picture moved by half of its width."""
+    splats = cloud(model)
+    splats.positions[:] *= 3 / np.linalg.norm(splats.positions, axis=1, keepdims=True)
+    splats.scales[:] = np.maximum(splats.scales, 0.3)
+    renderer = CpuRenderer(splats)
+    poles = replace(PANORAMA, height=121, cy=60.0)  # its first and last rows are the poles
+    ahead, behind = (
+        take_picture(renderer, Warp(poles), np.diag([turn, 1.0, turn, 1.0]), alpha=True).colour
+        for turn in (1.0, -1.0)
+    )
+    assert np.isfinite(ahead).all() and ahead[[0, -1], :, 3].max() > 0.1
+    assert decibels(np.roll(behind, PANORAMA.width // 2, axis=1), ahead) >= 70
+    # Each of these rows is one point; ellipses' two pictures meet there.
+    assert np.ptp(ahead[[0, -1]], axis=1).max() < (0.1 if model is Model.EWA else 1e-3)
+
+
 @pytest.mark.parametrize(
     "lens",
     [PANORAMA, replace(FISHEYE, fx=12.0, fy=12.0), replace(LENSES["plumb_bob"], fx=120.0)],

@@ -31,7 +31,7 @@ class LensPicture:
     """What a camera sees; fields that weren't asked for are None."""
 
     colour: Pixels
-    """(height, width, 3) RGB over black, 0 or more."""
+    """(height, width, 3) RGB over black, 0 or more; with `alpha`, (height, width, 4)."""
     depth: Pixels | None = None
     """(height, width) along the camera's z [m]; inf without a surface, NaN for pixels that no ray
     reaches, and for points that are not in front of the lens."""
@@ -49,6 +49,7 @@ def take_picture(
     far: float = 1e10,
     depth: str = "",
     normals: bool = False,
+    alpha: bool = False,
 ) -> LensPicture:
     """Draws the renderer's map through a lens.
 
@@ -62,7 +63,8 @@ def take_picture(
     wanted = {"median_depth": depth == MEDIAN, "mean_depth": depth == EXPECTED}
     by_samples = warp.samples and renderer.model in (Model.RAY, Model.DISC)
     take = _by_rays if by_samples else _warped
-    picture = take(renderer, warp, (world_to_lens, near, far), wanted, normals)
+    channels = 4 if alpha else 3
+    picture = take(renderer, warp, (world_to_lens, near, far), wanted, normals, channels)
     if picture.normals is None:
         return picture
     return replace(picture, normals=picture.normals @ world_to_lens[:3, :3].T.astype("f4"))
@@ -111,15 +113,21 @@ class Shutter:
             whole([part.normals for part in parts]),
         )
 
-    def _dark(self, height: int, depth: str = "", normals: bool = False, **_: Any) -> LensPicture:
+    def _dark(
+        self, height: int, depth: str = "", normals: bool = False, alpha: bool = False, **_: Any
+    ) -> LensPicture:
         unmet = np.full((height, self._width, 3), np.nan, np.float32)
-        return LensPicture(
-            np.zeros_like(unmet), unmet[..., 0] if depth else None, unmet if normals else None
-        )
+        dark = np.zeros((height, self._width, 4 if alpha else 3), np.float32)
+        return LensPicture(dark, unmet[..., 0] if depth else None, unmet if normals else None)
 
 
 def _warped(
-    renderer: CpuRenderer, warp: Warp, view: View, wanted: dict[str, bool], normals: bool
+    renderer: CpuRenderer,
+    warp: Warp,
+    view: View,
+    wanted: dict[str, bool],
+    normals: bool,
+    channels: int,
 ) -> LensPicture:
     """As take_picture, from pictures of other cameras; normals in the map's frame."""
     sheets = warp.sheets(renderer.model)
@@ -131,7 +139,7 @@ def _warped(
         ]
 
     drawn = draw(**wanted)
-    colour = sheets.colour([each["colour"][..., :3] for each in drawn])
+    colour = sheets.colour([each["colour"][..., :channels] for each in drawn])
     depth = sheets.depth([_depth(each) for each in drawn]) if any(wanted.values()) else None
     facing = None
     if normals:
@@ -148,7 +156,12 @@ def _of_whole(camera: Camera, warp: Warp) -> SplatCamera:
 
 
 def _by_rays(
-    renderer: CpuRenderer, warp: Warp, view: View, wanted: dict[str, bool], normals: bool
+    renderer: CpuRenderer,
+    warp: Warp,
+    view: View,
+    wanted: dict[str, bool],
+    normals: bool,
+    channels: int,
 ) -> LensPicture:
     """As _warped, but each pixel along its own ray."""
 
@@ -159,7 +172,7 @@ def _by_rays(
         ]
 
     drawn = draw(**wanted)
-    colour = warp.placed([each["colour"][:, :3] for each in drawn])
+    colour = warp.placed([each["colour"][:, :channels] for each in drawn])
     depth = None
     if any(wanted.values()):
         depths = warp.ahead([_depth(each) for each in drawn])
