@@ -109,6 +109,7 @@ class Viewer(Node):
         try:
             self.renderer.settings.order = ORDER_SOURCES[order_source]
             self.renderer.settings.detail = detail
+            self.renderer.settings.depths = self.serves
             self._connect()
         except BaseException:
             del self.renderer  # while its display is there

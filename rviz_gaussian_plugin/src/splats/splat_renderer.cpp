@@ -218,6 +218,7 @@ void SplatRenderer::begin(const CardPicture& picture, Canvas canvas) {
   begun->chosen = std::move(chosen);
   begun->view = &view;
   Frame& frame = begun->frame;
+  frame.depths = picture.settings().depths;
   for (std::size_t i = 0; i < frame.layers.size(); ++i) {
     frame.layers[i].error = begun->chosen[i].error;
   }

@@ -80,6 +80,12 @@ TEST_F(SplatRendererTest, ADepthIsThatOfAnEllipsesPlane) {
     const auto colour = cutPicture(leaf, ellipses);
     const auto depths = leaf.readDepth();
     EXPECT_EQ(leaf.readColor(), colour);
+    RenderSettings with_depths = ellipses;
+    with_depths.depths = true;
+    leaf.setCamera("other view", 1, camera());
+    leaf.draw("other view", with_depths, Canvas::kNone, true);
+    EXPECT_LT(greatestDifference(leaf.readColor(), colour), 1e-6f);
+    EXPECT_EQ(leaf.readDepth()[32 * kSize + 40], depths[32 * kSize + 40]);
     const Framebuffer window(GL_DEPTH24_STENCIL8, 0, 1);
     cutPicture(rays, drawnAs(Model::kRay, "full", rasterizer));
     leaf.draw("view", ellipses, Canvas::kWindow, true);
