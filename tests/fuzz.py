@@ -133,7 +133,7 @@ def _compress(message: GaussianArray, format: str) -> None:
 def view_camera(rng: Generator) -> ViewCamera:
     """A camera near the map, mostly with some numbers that make no picture."""
     message = ViewCamera(
-        view_id="view", sequence=1, projection=int(rng.integers(2)), width=64, height=48,
+        view_id="view", sequence=1, projection=int(rng.integers(3)), width=64, height=48,
         fx=60.0, fy=60.0, cx=32.0, cy=24.0, near_clip=0.1, far_clip=100.0,
     )  # fmt: skip
     message.pose.position.z = -20.0

@@ -12,7 +12,7 @@ import pytest
 from drawing import CAMERAS, cloud, decibels
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.generated import generate
-from rosplat_core.lens_pictures import take_picture
+from rosplat_core.lens_pictures import Shutter, take_picture
 from rosplat_core.lenses import Lens, LensError, Straightened, Warp
 from rosplat_core.models import Model
 from rosplat_core.rendering import Contributions, CpuRenderer, DrawMode, posed
@@ -241,6 +241,27 @@ def test_a_wide_fisheye_sees_what_narrow_cameras_see() -> None:
     assert decibels(seen, aside) >= 28  # each picture blurs by 0.3 px^2 of its own pixels
 
 
+@pytest.mark.parametrize("model", [Model.EWA, Model.RAY])
+@pytest.mark.parametrize("name", ["pinhole", "plumb_bob", "round"])
+def test_a_rolling_shutter_that_rests_sees_the_whole_picture(name: str, model: Model) -> None:
+    lens = {
+        "pinhole": Lens(**SIZE),
+        "plumb_bob": LENSES["plumb_bob"],
+        # Of 180 degrees, and dark above and below.
+        "round": Lens(100, 150, 35.0, 35.0, 49.5, 74.5, "ftheta", (0, 1, 0, 0, 0, 0, 1.57)),
+    }[name]
+    renderer, wanted = CpuRenderer(cloud(model)), {"depth": "expected", "normals": True}
+    whole = take_picture(renderer, Warp(lens), EYE, **wanted)
+    rows = Shutter(lens).take(renderer, lambda _: EYE, **wanted)
+    assert decibels(rows.colour, whole.colour) > (45 if name == "plumb_bob" else 60)
+    for taken, known in ((rows.depth, whole.depth), (rows.normals, whole.normals)):
+        assert taken is not None and known is not None and taken.shape == known.shape
+        assert np.mean(np.isnan(taken) != np.isnan(known)) < 2e-3
+        both = np.isfinite(taken) & np.isfinite(known)
+        assert np.isclose(taken[both], known[both], rtol=0.02, atol=0.02).mean() > 0.98
+    assert Warp(lens).met.any(axis=1).all() != (name == "round")
+
+
 @pytest.mark.parametrize("kind", ["median", "expected"])
 def test_depths_are_the_reference_s(kind: str) -> None:
     camera = CAMERAS["outside"]
@@ -427,6 +448,24 @@ def test_a_panorama_sees_along_its_rays_all_around() -> None:
     picture = take_picture(CpuRenderer(splats), Warp(PANORAMA), np.eye(4))
     rgba, _ = along_rays(splats, np.eye(4), rays, behind=True)
     assert decibels(picture.colour, rgba[..., :3]) >= 70
+
+
+@pytest.mark.parametrize("model", [Model.EWA, Model.RAY, Model.DISC], ids=str)
+def test_a_panorama_has_no_seam_behind_and_no_hole_at_the_poles(model: Model) -> None:
+    """Turned around, it is the same picture moved by half of its width."""
+    splats = cloud(model)
+    splats.positions[:] *= 3 / np.linalg.norm(splats.positions, axis=1, keepdims=True)
+    splats.scales[:] = np.maximum(splats.scales, 0.3)
+    renderer = CpuRenderer(splats)
+    poles = replace(PANORAMA, height=121, cy=60.0)  # its first and last rows are the poles
+    ahead, behind = (
+        take_picture(renderer, Warp(poles), np.diag([turn, 1.0, turn, 1.0]), alpha=True).colour
+        for turn in (1.0, -1.0)
+    )
+    assert np.isfinite(ahead).all() and ahead[[0, -1], :, 3].max() > 0.1
+    assert decibels(np.roll(behind, PANORAMA.width // 2, axis=1), ahead) >= 70
+    # Each of these rows is one point; ellipses' two pictures meet there.
+    assert np.ptp(ahead[[0, -1]], axis=1).max() < (0.1 if model is Model.EWA else 1e-3)
 
 
 @pytest.mark.parametrize(

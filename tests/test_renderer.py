@@ -364,17 +364,19 @@ def test_orders_that_travelled_are_drawn_like_those_given(host: Host) -> None:
     assert not host.renderer.has_order("test")  # no such slot
 
 
-def test_depth_is_the_mean_of_centres_along_the_axis(host: Host) -> None:
+@pytest.mark.parametrize("view", CAMERAS)
+def test_depth_is_the_mean_of_planes_along_the_axis(host: Host, view: str) -> None:
     splats = cloud(400)
-    expected = reference.render(splats, CAMERAS["outside"], planes=False)
+    expected = reference.render(splats, CAMERAS[view])
     host.show(splats)
-    host.draw(CAMERAS["outside"])
+    picture = host.draw(CAMERAS[view])
     depth = host.renderer.read_depth()
+    np.testing.assert_array_equal(host.draw(CAMERAS[view]), picture)  # as without depths
     solid = expected.rgba[..., 3] > 0.1
     error = np.abs(depth[solid] / expected.depth[solid] - 1)
-    assert np.mean(error < 1e-3) > 0.999  # the rest: where a splat ends a pixel earlier or later
+    assert np.mean(error < 1e-3) > 0.998  # the rest: where a splat ends a pixel earlier or later
     assert error.max() < 0.02
-    assert np.isnan(depth[expected.rgba[..., 3] == 0]).all()
+    assert np.isfinite(depth[expected.rgba[..., 3] == 0]).sum() < 5
 
 
 def test_opaque_objects_hide_and_are_hidden(host: Host) -> None:
@@ -931,8 +933,12 @@ def test_maps_of_all_models_are_sorted_together(host: Host) -> None:
             }
         )
         nearest_first = joined[np.argsort(joined.depths, kind="stable")]
-        expected = blended(nearest_first, (0, 0, WIDTH, HEIGHT)).rgba
-        assert decibels(host.draw(camera), expected) >= 70
+        expected = blended(nearest_first, (0, 0, WIDTH, HEIGHT))
+        assert decibels(host.draw(camera), expected.rgba) >= 70
+        if host.renderer.settings.rasterizer == Rasterizer.TILES:
+            solid = expected.rgba[..., 3] > 0.4
+            error = np.abs(host.renderer.read_depth() / expected.depth - 1)[solid]
+            assert np.median(error) < 1e-3
     for other in others:
         insert(other, maps[0][:0], slice(0, 0), 1)
     host.set(model=Model.RAY)  # of all maps; one is left

@@ -1,8 +1,8 @@
 """Cameras that look at a scene: their file format, and where to put them. Knows no ROS.
 
 A camera file is a JSON list of objects with id, width, height, fx, fy, cx, cy [px] and
-world_to_camera (4x4, OpenCV: x right, y down, z forward [m]); image, orthographic, near and far may
-be given as well. foreign_cameras.py has the files of others that are read, too.
+world_to_camera (4x4, OpenCV: x right, y down, z forward [m]); image, orthographic, near, far and
+model may be given as well. foreign_cameras.py has the files of others that are read, too.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from rosplat_core.splats import InputError, Splats
 _log = logging.getLogger(__name__)
 
 UP = (0.0, 0.0, 1.0)  # REP-103
+PINHOLE, EQUIRECTANGULAR = MODELS = "", "equirectangular"
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +45,7 @@ class Camera:
     """Size of the picture. [px]"""
     height: int
     fx: float
-    """Focal lengths [px]; for orthographic cameras [px/m]."""
+    """Focal lengths [px]; for orthographic cameras [px/m], for panoramas [px/rad]."""
     fy: float
     cx: float
     """Principal point, where the centre of the top left pixel is (0.5, 0.5). [px]"""
@@ -60,6 +61,8 @@ class Camera:
     far: float = 1e10
     image: str | None = None
     """Name of the picture that the camera took, beside the camera file."""
+    model: str = PINHOLE
+    """"equirectangular" for a panorama: x is the longitude, y the latitude, 0 ahead."""
 
     def __post_init__(self) -> None:
         """Converts the transform and checks every value."""
@@ -82,6 +85,8 @@ class Camera:
             raise ValueError(f"orthographic is {self.orthographic!r}, expected true or false")
         if not isinstance(self.image, str | None):
             raise ValueError(f"image is {self.image!r}, expected a name")
+        if self.model not in MODELS or (self.model and self.orthographic):
+            raise ValueError(f"model is {self.model!r}, expected none or '{EQUIRECTANGULAR}'")
         if not (self.fx > 0 and self.fy > 0):
             raise ValueError(f"fx, fy are {self.fx}, {self.fy}, expected more than 0")
         if not 0 < self.near < self.far:
@@ -141,11 +146,17 @@ def _is_finite(value: Real) -> bool:
         return False
 
 
-def load_cameras(path: str | Path, warn: Callable[[str], object] = _log.warning) -> list[Camera]:
+def load_cameras(
+    path: str | Path,
+    warn: Callable[[str], object] = _log.warning,
+    *,
+    panoramas: bool = False,
+) -> list[Camera]:
     """Reads a camera file: ours, INRIA's cameras.json, nerfstudio's transforms.json, or COLMAP's.
 
     COLMAP's is a folder, or one of its files. warn is called with what is left out, such as lens
-    distortion. Raises InputError naming the file, the camera and the field.
+    distortion. panoramas: whether these may be among them. Raises InputError naming the file, the
+    camera and the field.
     """
     path, told = Path(path), list[str]()
     try:
@@ -163,7 +174,11 @@ def load_cameras(path: str | Path, warn: Callable[[str], object] = _log.warning)
         warn(text)
     if not isinstance(entries, list):
         raise InputError(f"{path}: expected a list of cameras")
-    return [_camera(entry, f"{path}: camera {index}") for index, entry in enumerate(entries)]
+    cameras = [_camera(entry, f"{path}: camera {index}") for index, entry in enumerate(entries)]
+    for index, camera in enumerate(cameras):
+        if camera.model and not panoramas:
+            raise InputError(f"{path}: camera {index}: {camera.model} has no pinhole picture")
+    return cameras
 
 
 def _camera(entry: Any, where: str) -> Camera:

@@ -10,7 +10,8 @@ lies beside it, cameras are where its exported maps have them: turned, centred, 
 
 COLMAP's model: a folder with cameras and images, .bin or .txt, from the world to the camera.
 
-All have the centre of the first pixel at (0.5, 0.5), as we do. Lens distortion is left out.
+All have the centre of the first pixel at (0.5, 0.5), as we do. Lens distortion is left out. An
+EQUIRECTANGULAR picture is all around, whatever its parameters.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ Warn = Callable[[str], object]
 PARSED = "dataparser_transforms.json"
 DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 # Beginnings of models' names
-NO_PINHOLE = ("EQUIRECTANGULAR", "OMNIDIRECTIONAL", "VR180", "ORTHO")
+NO_PINHOLE = ("OMNIDIRECTIONAL", "VR180", "ORTHO")
+PANORAMA = "EQUIRECTANGULAR"
 FISHEYE = "FISHEYE"  # in a model's name: bent without coefficients, too
 FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 # What nerfstudio did to COLMAP's coordinates before transforms.json had a field for it.
@@ -132,6 +134,9 @@ def _frame(
         pose[:3, 3] *= scale
         picture = _picture(path.parent, str(frame.get("file_path", "")))
         width, height = _size(frame, path.parent, picture)
+        if str(frame.get("camera_model", "")).upper() == PANORAMA:
+            turn = _inverse(pose)
+            return {"id": index, "world_to_camera": turn, **_panorama(width, height, picture)}
         if not {"fl_x", "camera_angle_x"} & frame.keys():
             raise ValueError("neither fl_x nor camera_angle_x")
         fx = frame["fl_x"] if "fl_x" in frame else _focal(width, frame["camera_angle_x"])
@@ -145,6 +150,13 @@ def _frame(
             "cx": frame.get("cx", width / 2), "cy": frame.get("cy", height / 2),
             "world_to_camera": _inverse(pose), "image": None if bent else picture,
         }  # fmt: skip
+
+
+def _panorama(width: int, height: int, picture: str | None) -> Entry:
+    return {
+        "width": width, "height": height, "fx": width / math.tau, "fy": height / math.pi,
+        "cx": width / 2, "cy": height / 2, "model": PANORAMA.lower(), "image": picture,
+    }  # fmt: skip
 
 
 def _parsed(document: Entry, path: Path, warn: Warn) -> tuple[NDArray[np.float64], float]:
@@ -204,17 +216,19 @@ def _colmap(folder: Path, lenses: dict[int, Lens], image: Image, warn: Warn) -> 
             raise InputError(f"{folder}: camera model {model} has no pinhole picture")
         if (model, len(parameters)) not in MODELS:
             raise ValueError(f"camera model {model} of {len(parameters)} numbers isn't known")
+        transform = np.eye(4)
+        transform[:3, :3] = to_matrices([*wxyz[1:], wxyz[0]])
+        transform[:3, 3] = translation
+        placed = {"id": number, "world_to_camera": transform.tolist()}
+        if model == PANORAMA:
+            return placed | _panorama(width, height, _picture(folder, name))
         one = model.startswith(("SIMPLE", "RADIAL"))
         fx, fy, cx, cy = parameters[:1] + parameters[:3] if one else parameters[:4]
         bent = FISHEYE in model or any(parameters[3 if one else 4 :])
         if bent:
             warn(f"{folder}: lens distortion {model} left out: cameras are drawn without it")
-        transform = np.eye(4)
-        transform[:3, :3] = to_matrices([*wxyz[1:], wxyz[0]])
-        transform[:3, 3] = translation
-        return {
-            "id": number, "width": width, "height": height,
-            "fx": fx, "fy": fy, "cx": cx, "cy": cy, "world_to_camera": transform.tolist(),
+        return placed | {
+            "width": width, "height": height, "fx": fx, "fy": fy, "cx": cx, "cy": cy,
             "image": None if bent else _picture(folder, name),
         }  # fmt: skip
 

@@ -12,15 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core.lenses import Warp
+from rosplat_core.cameras import Camera
+from rosplat_core.lenses import Lens, Warp
 from rosplat_core.models import Model
-from rosplat_core.rendering import CpuRenderer, DrawMode, posed
+from rosplat_core.rendering import CpuRenderer, DrawMode, SplatCamera, posed
 
 MEDIAN, EXPECTED = "median", "expected"
 DEPTHS = (MEDIAN, EXPECTED)
+BAND = 16  # rows: the rasteriser's tiles are as high [px]
 
+Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
-View = tuple[NDArray[np.float64], float, float]  # world to lens (4, 4), near, far [m]
+View = tuple[Array, float, float]  # world to lens (4, 4), near, far [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +31,7 @@ class LensPicture:
     """What a camera sees; fields that weren't asked for are None."""
 
     colour: Pixels
-    """(height, width, 3) RGB over black, 0 or more."""
+    """(height, width, 3) RGB over black, 0 or more; with `alpha`, (height, width, 4)."""
     depth: Pixels | None = None
     """(height, width) along the camera's z [m]; inf without a surface, NaN for pixels that no ray
     reaches, and for points that are not in front of the lens."""
@@ -40,12 +43,13 @@ class LensPicture:
 def take_picture(
     renderer: CpuRenderer,
     warp: Warp,
-    world_to_lens: NDArray[np.float64],
+    world_to_lens: Array,
     *,
     near: float = 0.01,
     far: float = 1e10,
     depth: str = "",
     normals: bool = False,
+    alpha: bool = False,
 ) -> LensPicture:
     """Draws the renderer's map through a lens.
 
@@ -59,26 +63,83 @@ def take_picture(
     wanted = {"median_depth": depth == MEDIAN, "mean_depth": depth == EXPECTED}
     by_samples = warp.samples and renderer.model in (Model.RAY, Model.DISC)
     take = _by_rays if by_samples else _warped
-    picture = take(renderer, warp, (world_to_lens, near, far), wanted, normals)
+    channels = 4 if alpha else 3
+    picture = take(renderer, warp, (world_to_lens, near, far), wanted, normals, channels)
     if picture.normals is None:
         return picture
     return replace(picture, normals=picture.normals @ world_to_lens[:3, :3].T.astype("f4"))
 
 
+class Shutter:
+    """A rolling shutter: rows of a lens's picture that are exposed from the top to the bottom.
+
+    Rows are drawn in bands, each from where the camera is as its middle is exposed.
+    """
+
+    def __init__(self, lens: Lens, rows: int = BAND) -> None:
+        """rows: of a band, 1 or more; fewer are more exact, and slower. Raises LensError."""
+        whole = Warp(lens)  # checks all of the lens
+        self.bands: list[tuple[float, Warp | int]] = []
+        """With the share of the exposure, 0 to 1, that has passed at a band's middle: its lens, or
+        how many rows it has where no ray arrives."""
+        for top in range(0, lens.height, rows):
+            height = min(rows, lens.height - top)
+            met = whole.met[top : top + height].any()
+            rows_of_it = replace(lens, height=height, cy=lens.cy - top)
+            beyond = top, lens.height - top - height
+            band = Warp(rows_of_it, beyond) if met else height
+            self.bands.append(((top + height / 2) / lens.height, band))
+        self._width = lens.width
+
+    def take(
+        self, renderer: CpuRenderer, world_to_lens: Callable[[float], Array], **wanted: Any
+    ) -> LensPicture:
+        """As take_picture, with a pose for each share of the exposure. Normals are in each band's
+        own optical frame."""
+        parts = [
+            self._dark(band, **wanted)
+            if isinstance(band, int)
+            else take_picture(renderer, band, world_to_lens(share), **wanted)
+            for share, band in self.bands
+        ]
+
+        def whole(of_parts: list[Pixels | None]) -> Pixels | None:
+            known = [part for part in of_parts if part is not None]
+            return np.concatenate(known) if known else None
+
+        return LensPicture(
+            np.concatenate([part.colour for part in parts]),
+            whole([part.depth for part in parts]),
+            whole([part.normals for part in parts]),
+        )
+
+    def _dark(
+        self, height: int, depth: str = "", normals: bool = False, alpha: bool = False, **_: Any
+    ) -> LensPicture:
+        unmet = np.full((height, self._width, 3), np.nan, np.float32)
+        dark = np.zeros((height, self._width, 4 if alpha else 3), np.float32)
+        return LensPicture(dark, unmet[..., 0] if depth else None, unmet if normals else None)
+
+
 def _warped(
-    renderer: CpuRenderer, warp: Warp, view: View, wanted: dict[str, bool], normals: bool
+    renderer: CpuRenderer,
+    warp: Warp,
+    view: View,
+    wanted: dict[str, bool],
+    normals: bool,
+    channels: int,
 ) -> LensPicture:
     """As take_picture, from pictures of other cameras; normals in the map's frame."""
     sheets = warp.sheets(renderer.model)
 
     def draw(**wanted: bool) -> list[dict[str, Any]]:
         return [
-            renderer.draw(posed(camera), lens=curve, **wanted)
+            renderer.draw(_of_whole(camera, warp), lens=curve, **wanted)
             for camera, curve in sheets.cameras(*view)
         ]
 
     drawn = draw(**wanted)
-    colour = sheets.colour([each["colour"][..., :3] for each in drawn])
+    colour = sheets.colour([each["colour"][..., :channels] for each in drawn])
     depth = sheets.depth([_depth(each) for each in drawn]) if any(wanted.values()) else None
     facing = None
     if normals:
@@ -87,8 +148,20 @@ def _warped(
     return LensPicture(colour, depth, facing)
 
 
+def _of_whole(camera: Camera, warp: Warp) -> SplatCamera:
+    """A camera whose ellipses are those of the whole picture, by whose height they are clamped."""
+    above, below = warp.beyond
+    whole = replace(camera, height=above + camera.height + below, cy=camera.cy + above)
+    return posed(whole).crop(0, above, camera.width, camera.height)
+
+
 def _by_rays(
-    renderer: CpuRenderer, warp: Warp, view: View, wanted: dict[str, bool], normals: bool
+    renderer: CpuRenderer,
+    warp: Warp,
+    view: View,
+    wanted: dict[str, bool],
+    normals: bool,
+    channels: int,
 ) -> LensPicture:
     """As _warped, but each pixel along its own ray."""
 
@@ -99,7 +172,7 @@ def _by_rays(
         ]
 
     drawn = draw(**wanted)
-    colour = warp.placed([each["colour"][:, :3] for each in drawn])
+    colour = warp.placed([each["colour"][:, :channels] for each in drawn])
     depth = None
     if any(wanted.values()):
         depths = warp.ahead([_depth(each) for each in drawn])

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rosplat_core.cameras import Camera
+from rosplat_core.cameras import EQUIRECTANGULAR, PINHOLE, Camera
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
 
@@ -28,9 +28,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-PINHOLE, PLUMB_BOB, RATIONAL = "", "plumb_bob", "rational_polynomial"
+PLUMB_BOB, RATIONAL = "plumb_bob", "rational_polynomial"
 EQUIDISTANT, DOUBLE_SPHERE, F_THETA = FISHEYES = "equidistant", "double_sphere", "ftheta"
-EQUIRECTANGULAR = "equirectangular"
 # How many coefficients a model may have; missing ones are 0.
 COEFFICIENTS = {
     PINHOLE: (0,), PLUMB_BOB: (5,), RATIONAL: (8, 12, 14),
@@ -127,6 +126,13 @@ class Lens:
             raise LensError(f"angle of view is {angle}, expected more than 0 and less than pi")
         focal = width / 2 / math.tan(angle / 2)
         return cls(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+    @classmethod
+    def of_camera(cls, camera: Camera) -> Lens:
+        """The lens of a camera, pinhole or panorama."""
+        size = camera.width, camera.height
+        place = camera.fx, camera.fy, camera.cx - 0.5, camera.cy - 0.5
+        return cls(*size, *place, camera.model)
 
     @property
     def is_pinhole(self) -> bool:
@@ -512,12 +518,13 @@ class Warp:
     which leaves shapes as they are, or two, ahead and behind.
     """
 
-    def __init__(self, lens: Lens) -> None:
-        """Raises LensError for too large a picture to draw, or a fold of the distortion in view.
+    def __init__(self, lens: Lens, beyond: tuple[int, int] = (0, 0)) -> None:
+        """beyond: how many rows the whole picture has above and below these, if they are a band of
+        it. Raises LensError for too large a picture to draw, or a fold of the distortion in view.
 
         Around the round picture of a fisheye, though, pixels may have no ray.
         """
-        self.lens = lens
+        self.lens, self.beyond = lens, beyond
         self.met: NDArray[np.bool_] = np.ones((lens.height, lens.width), bool)
         """(height, width) whether a ray arrives at a pixel."""
         self.samples: list[Samples] = []
@@ -534,7 +541,9 @@ class Warp:
         met = np.isfinite(rays).all(axis=1)
         if not met.all() and not (lens.is_fisheye and met.any()):
             x, y = every[np.argmin(met)]
-            raise LensError(f"d: the distortion folds: no ray arrives at pixel {x}, {y}")
+            around = lens.model == EQUIRECTANGULAR
+            why = "k: more than all around" if around else "d: the distortion folds"
+            raise LensError(f"{why}: no ray arrives at pixel {x}, {y}")
         self.met = met.reshape(lens.height, lens.width)
         pixels = np.flatnonzero(met)
         rays = rays[met] / np.linalg.norm(rays[met], axis=1, keepdims=True)

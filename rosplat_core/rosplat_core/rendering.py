@@ -150,7 +150,10 @@ def render(splats: Splats, camera: Camera) -> NDArray[np.float32]:
 
 
 def pose(camera: Camera) -> tuple[Any, ...]:
-    """A camera's numbers, as SplatCamera and PosedCamera take them."""
+    """A camera's numbers, as SplatCamera and PosedCamera take them. Raises ValueError for a
+    panorama, which lens_pictures.take_picture() draws."""
+    if camera.model:
+        raise ValueError(f"camera {camera.id}: {camera.model} has no pinhole picture")
     return (
         tuple(camera.position.tolist()), tuple(camera.orientation.tolist()),
         int(camera.orthographic), camera.fx, camera.fy, camera.cx, camera.cy,

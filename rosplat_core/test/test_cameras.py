@@ -20,6 +20,7 @@ from rosplat_core.cameras import (
     orbit,
     save_cameras,
 )
+from rosplat_core.rendering import pose
 from rosplat_core.splats import InputError
 
 points = st.tuples(*[st.floats(-100, 100)] * 3)
@@ -72,6 +73,16 @@ def test_a_rotation_of_few_digits_far_away_leaves_the_camera_in_its_place() -> N
     np.testing.assert_allclose(found.position, place, atol=1e-6)
 
 
+def test_a_panorama_is_read_where_it_is_expected(tmp_path: Path) -> None:
+    seen = replace(camera(), model="equirectangular")
+    save_cameras(tmp_path / "cameras.json", [camera(), seen])
+    assert load_cameras(tmp_path / "cameras.json", panoramas=True)[1].model == "equirectangular"
+    with pytest.raises(InputError, match="camera 1: equirectangular has no pinhole picture"):
+        load_cameras(tmp_path / "cameras.json")
+    with pytest.raises(ValueError, match="camera 7: equirectangular has no pinhole picture"):
+        pose(seen)
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -82,6 +93,8 @@ def test_a_rotation_of_few_digits_far_away_leaves_the_camera_in_its_place() -> N
         ({"cy": 10**400}, "cy is 1000"),
         ({"orthographic": "no"}, "orthographic is 'no'"),
         ({"image": 3}, "image is 3"),
+        ({"model": "fisheye"}, "model is 'fisheye'"),
+        ({"model": "equirectangular", "orthographic": True}, "model is 'equirectangular'"),
         ({"width": 0}, "width is 0, expected a whole number of 1 or more"),
         ({"height": 10.5}, "height is 10.5"),
         ({"near": 5, "far": 2}, "near, far are 5.0, 2.0"),

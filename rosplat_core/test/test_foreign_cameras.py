@@ -63,10 +63,9 @@ def test_nerfstudio(tmp_path: Path) -> None:
 
 
 def test_cameras_that_see_all_around_are_named(tmp_path: Path) -> None:
-    for model in ("EQUIRECTANGULAR", "ORTHOPHOTO"):
-        path = write(tmp_path / "transforms.json", transforms(camera_model=model))
-        with pytest.raises(InputError, match=f"{model} has no pinhole"):
-            load_cameras(path)
+    path = write(tmp_path / "transforms.json", transforms(camera_model="ORTHOPHOTO"))
+    with pytest.raises(InputError, match="ORTHOPHOTO has no pinhole"):
+        load_cameras(path)
     told: list[str] = []
     write(path, transforms(camera_model="OPENCV_FISHEYE"))
     assert_cameras(load_cameras(path, told.append), 321.5, 239.0)
@@ -181,7 +180,7 @@ def test_fisheyes_of_colmap_are_bent_without_coefficients(tmp_path: Path, lens: 
 @pytest.mark.parametrize(
     ("lens", "said"),
     [
-        ("EQUIRECTANGULAR 9 9 9 9", "no pinhole picture"),
+        ("EQUIRECTANGULAR 9 9 9 9", "equirectangular has no pinhole picture"),
         ("LOOKING_GLASS 9 9 1", "LOOKING_GLASS of 1"),
     ],
 )
@@ -190,6 +189,24 @@ def test_colmap_s_cameras_that_are_none_here_are_named(
 ) -> None:
     with pytest.raises(InputError, match=said):
         load_cameras(colmap(tmp_path, lens, ["1 1 0 0 0 0 0 0 1 a.png"]))
+
+
+def test_panoramas_of_nerfstudio_and_colmap_are_all_around(tmp_path: Path) -> None:
+    document = transforms(camera_model="EQUIRECTANGULAR")
+    lines = []
+    for camera in CAMERAS:
+        pose = [*quaternion(camera), *camera.world_to_camera[:3, 3].tolist()]
+        lines += [f"{camera.id} {' '.join(map(repr, pose))} 1 a.png", ""]
+    (tmp_path / "colmap").mkdir()
+    for path in (
+        write(tmp_path / "transforms.json", document),
+        colmap(tmp_path / "colmap", "EQUIRECTANGULAR 640 480 640 480", lines),
+    ):
+        for one, other in zip(load_cameras(path, panoramas=True), CAMERAS, strict=True):
+            np.testing.assert_allclose(one.world_to_camera, other.world_to_camera, atol=1e-9)
+            assert (one.model, one.width, one.height) == ("equirectangular", 640, 480)
+            assert (one.fx * 2 * np.pi, one.fy * np.pi) == pytest.approx((640, 480))
+            assert (one.cx, one.cy) == (320, 240)
 
 
 def test_colmap_s_newer_lenses_by_number(tmp_path: Path) -> None:

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from rosplat_core.cameras import Camera
+from rosplat_core.cameras import Camera, save_cameras
 from rosplat_core.rendering import MOST_PSNR
 from rosplat_core.splats import InputError
-from rosplat_lab.render.command import check, write_picture, write_report
+from rosplat_lab.render.command import check, main, write_picture, write_report
 
 
 def test_a_report_is_json_for_whoever_reads_it(
@@ -52,3 +52,13 @@ def test_a_picture_that_is_too_small_to_compare_is_refused_before_drawing(tmp_pa
         InputError, match=r"camera 1: 10\.png is 16x10, expected sides of at least 11"
     ):
         check(tmp_path / "cameras.json", cameras)
+
+
+def test_rviz_s_display_is_not_asked_for_panoramas(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    panorama = Camera(0, 64, 32, 10.0, 10.0, 32.0, 16.0, np.eye(4), model="equirectangular")
+    save_cameras(tmp_path / "cameras.json", [panorama])
+    files = ["procedural:10", str(tmp_path / "cameras.json"), str(tmp_path / "out")]
+    assert main([*files, "--via", "rviz"]) == 1
+    assert "camera 0: equirectangular has no pinhole picture" in capsys.readouterr().err

@@ -14,11 +14,12 @@ from rosplat_ros.batches import pose_values
 
 def view_camera(camera: Camera) -> ViewCamera:
     """The message for a camera."""
+    flat = ViewCamera.ORTHOGRAPHIC if camera.orthographic else ViewCamera.PERSPECTIVE
     position = dict(zip("xyz", camera.position.tolist(), strict=True))
     orientation = dict(zip("xyzw", camera.orientation.tolist(), strict=True))
     return ViewCamera(
         pose=Pose(position=Point(**position), orientation=Quaternion(**orientation)),
-        projection=ViewCamera.ORTHOGRAPHIC if camera.orthographic else ViewCamera.PERSPECTIVE,
+        projection=ViewCamera.EQUIRECTANGULAR if camera.model else flat,
         fx=float(camera.fx),
         fy=float(camera.fy),
         cx=float(camera.cx),

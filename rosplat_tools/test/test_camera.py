@@ -19,7 +19,7 @@ from std_msgs.msg import Header
 
 from rosplat_core.cameras import look_at
 from rosplat_core.generated import generate
-from rosplat_core.lens_pictures import take_picture
+from rosplat_core.lens_pictures import Shutter, take_picture
 from rosplat_core.lenses import Lens, Warp
 from rosplat_core.rendering import CpuRenderer
 from rosplat_ros.images import from_image, to_bytes
@@ -27,7 +27,7 @@ from rosplat_ros.map_publisher import MapPublisher
 from rosplat_testing import PATIENCE, Listener
 from rosplat_testing.studio import Log, Studio, transform
 from rosplat_tools.cameras.calibrations import of_lens
-from rosplat_tools.cameras.pose_history import SECOND, PoseError
+from rosplat_tools.cameras.pose_history import SECOND, PoseError, between
 from rosplat_tools.cameras.poses import TopicPoses
 from rosplat_tools.frames import FrameError, Frames
 
@@ -85,6 +85,27 @@ def test_pictures_are_those_of_the_renderer(
     assert info.header == image.header
     assert (info.k[0], info.k[2]) == (LENS.fx, LENS.cx)
     assert studio.heard["depth/camera_info"][0] == info
+
+
+@pytest.mark.usefixtures("publisher")
+def test_a_rolling_shutter_sees_each_row_from_where_the_camera_is_then(
+    studio: Studio, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    """The picture has the time of its first row, and poses in between."""
+    studio.hear("image_raw")
+    process = start("camera", poses="topic", **PINHOLE, **{"camera.readout": 1.0})
+    studio.pose(EYE, seconds=7)
+    log = Log(process)
+    studio.listener.wait(lambda: log.has("before all poses that are known"))
+    studio.pose(BESIDE, seconds=8)
+    image = studio.next()
+    assert image.header.stamp.sec == 7
+    eyes = [np.linalg.inv(eye) for eye in (EYE, BESIDE)]
+    taken = Shutter(LENS).take(
+        CpuRenderer(SPLATS), lambda share: np.linalg.inv(between(eyes[0], eyes[1], share))
+    )
+    np.testing.assert_array_equal(from_image(image), to_bytes(taken.colour))
+    assert (from_image(image) != to_bytes(drawn(LENS, EYE).colour)).any()
 
 
 @pytest.mark.usefixtures("publisher")

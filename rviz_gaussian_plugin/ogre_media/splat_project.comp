@@ -22,6 +22,10 @@ uniform bool one_layer;
 
 const float kMostVariance = 1e16, kMostUnit = 1e18;  // beyond any picture, and soon beyond float32
 
+#ifdef DEPTHS
+vec2 plane;  // as in splat_depths.glsl, of the slot that is projected
+#endif
+
 shared uint group_seen, group_nearest, group_farthest;
 
 mat3 rotationMatrix(vec4 q) {
@@ -188,6 +192,11 @@ Ellipse project(Page page, uint slot, vec3 mean, vec3 p) {
     c = c0 + kLowPass;
     det = det0 + kLowPass * (a0 + c0) + kLowPass * kLowPass;
     if (map.model == kEwaAntialiased) opacity *= sqrt(det0 / det);
+#ifdef DEPTHS
+    vec3 deeper = vec3(axes[0].z, axes[1].z, axes[2].z) * scale;
+    vec2 of = vec2(dot(right, deeper), dot(down, deeper));
+    plane = (vec2(c, a) * of - b * of.yx) / det;
+#endif
   }
   if (!(opacity >= kCutoffAlpha)) return e;
   if (map.kind == kFlat || map.kind == kShaded) opacity = kBallOpacity;
@@ -256,9 +265,15 @@ uint projected(Page page, uint slot, uint number) {
   if (!mayBeSeen(page, slot, mean, p)) return kNone;
   float share = shareOf(page, slot, mean);
   if (!(share > 0.0)) return kNone;
+#ifdef DEPTHS
+  plane = vec2(0.0);
+#endif
   Ellipse e = project(page, slot, mean, p);
   if (e.opacity == 0.0) return kNone;
   keep(number, packEllipse(e));
+#ifdef DEPTHS
+  planes[number] = plane;
+#endif
   if (view.cut) boxes[first_share + number] = floatBitsToUint(share);
   boxes[number] = boxOf(outlineOf(e));
   return depthKey(p.z);

@@ -29,6 +29,9 @@ shared vec4 forms[kBatch];
 // two loads of 16 bytes: each further load takes a fifth longer.
 shared uvec4 rests[kBatch];
 shared float depths[kBatch];  // in the window
+#ifdef DEPTHS
+shared vec3 planes_of[kBatch];  // what a pixel's x, y and 1 add to the depth [m]
+#endif
 #ifdef RAYS
 shared vec4 tilts[kBatch];
 #endif
@@ -122,6 +125,10 @@ void blendBatch(uint part, uint count, vec2 pixel, bool hides, float hidden_from
       float u = form.x * pixel.x + (form.y * pixel.y + form.z);
       float v = form.w * pixel.y + uintBitsToFloat(rest.x), peak = uintBitsToFloat(rest.y);
       colours[s] = unpackedColour(rest.zw);
+#ifdef DEPTHS
+      vec3 plane = planes_of[k];
+      colours[s].x = max(colours[s].x + (plane.x * pixel.x + (plane.y * pixel.y + plane.z)), 0.0);
+#endif
 #ifdef BALLS
       bool ball = peak >= kFlat2;
       float top = ball ? 0.0 : peak;
@@ -257,6 +264,9 @@ void main() {
       uint splat = listed[first + local];
       Ellipse e = ellipse(splat);
       keepForm(local, e, tile);
+#ifdef DEPTHS
+      planes_of[local] = vec3(planes[splat], -dot(planes[splat], e.centre - vec2(tile * kTile)));
+#endif
 #ifdef SHARES
       shares_of[local] = view.cut ? shares[splat] : 1.0;
 #endif

@@ -49,6 +49,7 @@ class CardRenderer:
         self._thread = ThreadPoolExecutor(1, "card")  # OpenGL is one thread's
         self._renderer: Renderer = self._thread.submit(Renderer).result()
         self.settings: RenderSettings = self._renderer.settings
+        self.settings.depths = True
         """How pictures are drawn."""
         self.device: str = self._renderer.renderer_info
         """What draws, by OpenGL's name."""

@@ -20,8 +20,10 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 
 from rosplat_core.cameras import Camera
+from rosplat_core.lens_pictures import take_picture
+from rosplat_core.lenses import Lens, Warp
 from rosplat_core.maps import Arrival, GaussianMap
-from rosplat_core.rendering import SplatCamera, insert_all
+from rosplat_core.rendering import CpuRenderer, SplatCamera, insert_all
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import RenderView
@@ -106,6 +108,32 @@ def test_a_picture_is_colour_alpha_and_depth(
     assert depth[24, 32] == pytest.approx(2, rel=1e-3)
     assert not color[0, 0].any()
     assert np.isnan(depth[0, 0])
+
+
+def test_a_panorama_is_drawn_as_the_processor_draws_it(
+    viewer: subprocess.Popen[str], node: Node, listener: Any
+) -> None:
+    splats = discs((RED, 2.0), (GREEN, -3.0))  # ahead and behind
+    publisher = MapPublisher(node)
+    eye = np.eye(4)
+    eye[:3, 3] = (0.2, -0.1, 0.0)
+    camera = Camera(0, 80, 40, 40 / math.pi, 40 / math.pi, 40.0, 20.0, eye, model="equirectangular")
+    for _ in range(2):  # an edit is seen, too
+        splats.positions[:, 1] += 0.3
+        publisher.replace(splats)
+        await_map(listener, publisher)
+        answer = draw(listener, camera)
+        assert answer.success, answer.message
+        assert answer.map_complete and answer.revision == publisher.revision
+        renderer = CpuRenderer(splats)
+        warp = Warp(Lens.of_camera(camera))
+        expected = take_picture(renderer, warp, eye, depth="expected", alpha=True)
+        np.testing.assert_allclose(pixels(answer.color), expected.colour, atol=1e-6)
+        depth, solid = pixels(answer.depth), np.isfinite(expected.depth)
+        np.testing.assert_allclose(depth[solid], expected.depth[solid], rtol=1e-6)
+        assert solid.any() and np.isnan(depth[~solid]).all()
+    wide = replace(camera, width=8192, height=8192)
+    assert "a panorama of 8192 x 8192 pixels" in draw(listener, wide).message
 
 
 def test_a_sorter_s_order_is_taken_but_only_for_this_view_and_map(

@@ -432,6 +432,7 @@ bool Painter::draw(const std::string& view_id, const Waiting& job) {
   const PaintRequest& asked = *painting.request;
   PictureRequest request = pictureOf(asked);
   request.depth = PictureDepth::kMean;
+  request.planes = job.request->motion.none();  // a moving camera shows a mesh, which needs none
   request.cancelled = &cancelled_;
   chooseDetail(view_id, request, painting);
   {

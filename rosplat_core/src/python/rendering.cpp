@@ -326,6 +326,7 @@ void defineRendering(py::module_& module) {
       .def_readwrite("max_sh_degree", &RenderSettings::max_sh_degree)
       .def_readwrite("only_band", &RenderSettings::only_band)
       .def_readwrite("interactive", &RenderSettings::interactive)
+      .def_readwrite("depths", &RenderSettings::depths)
       .def_readwrite("scale", &RenderSettings::scale)
       .def_readwrite("opacity", &RenderSettings::opacity)
       .def_property(

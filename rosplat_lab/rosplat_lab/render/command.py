@@ -261,7 +261,7 @@ def main(arguments: list[str] | None = None) -> int:
         rows.append(row)
 
     try:
-        cameras = load_cameras(options.cameras)
+        cameras = load_cameras(options.cameras, panoramas=options.via == "host")
         check(options.cameras, cameras)
         check_scene(options.scene)
         make_folder(options.out)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
@@ -19,7 +20,7 @@ from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
-from rosplat_core.lens_pictures import DEPTHS, LensPicture, take_picture
+from rosplat_core.lens_pictures import DEPTHS, LensPicture, Shutter, take_picture
 from rosplat_core.lenses import Lens, Warp
 from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError
@@ -106,7 +107,13 @@ class _Camera:
             node, f"{name}.frame_id", f"{name}_optical", "Its optical frame, of TF and of pictures."
         )
         self._info = self._calibration()
+        readout = declare(
+            node, f"{name}.readout", 0.0,
+            "Time from the first row to the last, of a rolling shutter. [s]", 0.0, 1.0,
+        )  # fmt: skip
+        self._readout = round(SECOND * readout)  # [ns]
         self._warp: Warp | None = None
+        self._shutter: Shutter | None = None  # if there is a readout
         self._fault = ""  # why there is no warp
         self._warped: CameraInfo | None = None  # that the warp was made for
         self._last = self._due = 0  # of the last picture, of the next at the earliest [ns]
@@ -179,11 +186,12 @@ class _Camera:
             self._last = self._due = 0
         if stamp <= self._last or stamp < self._due:
             return
-        picture = self._draw(warp, pose)
+        exposed = max(0, stamp - self._readout)  # when the first row is
+        picture = self._draw(warp, pose, exposed)
         period = self._shot.period
         self._last, self._due = stamp, max(self._due + period, stamp + period * 3 // 4)  # of jitter
         self._publish(
-            picture, Header(stamp=Time(nanoseconds=stamp).to_msg(), frame_id=self._frame_id)
+            picture, Header(stamp=Time(nanoseconds=exposed).to_msg(), frame_id=self._frame_id)
         )
         latency = (self._node.get_clock().now().nanoseconds - stamp) / SECOND
         self.health.well(latency, time.perf_counter() - began)
@@ -195,14 +203,16 @@ class _Camera:
         if info is not self._warped:
             self._warp, self._warped = None, info
             try:
-                self._warp = Warp(calibrations.lens_of(info))
+                lens = calibrations.lens_of(info)
+                self._warp = Warp(lens)
+                self._shutter = Shutter(lens) if self._readout else None
             except ValueError as error:  # LensError, or beyond what float32 or int64 holds
                 self._fault = f"the calibration is refused: {error}"
         if self._warp is None:
             raise NoPicture("without a lens", self._fault)
         return self._warp
 
-    def _draw(self, warp: Warp, pose: Pose) -> LensPicture | None:
+    def _draw(self, warp: Warp, pose: Pose, exposed: int) -> LensPicture | None:
         listened = [
             t.get_subscription_count() > 0 for t in (self._image, self._depth, self._normals)
         ]
@@ -211,11 +221,24 @@ class _Camera:
         depth, shot = self._shot.depth if listened[1] else "", self._shot
         world_to_lens = np.linalg.inv(pose).astype(np.float64)
         self._map.publish_cameras(self._name, warp.cameras(world_to_lens, shot.near, shot.far))
+        wanted: dict[str, Any] = {
+            "near": shot.near,
+            "far": shot.far,
+            "depth": depth,
+            "normals": listened[2],
+        }
+
+        def moved(share: float) -> NDArray[np.float64]:
+            at = exposed + round(share * self._readout)
+            pose = self._poses.at(self._name, self._frame_id, self._map.frame_id, at)
+            return np.linalg.inv(pose).astype(np.float64)
+
         try:
-            return take_picture(
-                self._map.renderer, warp, world_to_lens,
-                near=shot.near, far=shot.far, depth=depth, normals=listened[2],
-            )  # fmt: skip
+            if self._shutter:
+                return self._shutter.take(self._map.renderer, moved, **wanted)
+            return take_picture(self._map.renderer, warp, world_to_lens, **wanted)
+        except PoseError as error:
+            raise NoPicture("without a pose", error) from error
         except (ValueError, RuntimeError, MemoryError) as error:
             raise NoPicture("not drawn", shown(error, 300) or "out of memory") from error
 

@@ -31,6 +31,7 @@ from rosplat_ros.qos import FIRST_VIEW, ORDER, VIEW, overridable
 from rosplat_ros.view_cameras import numbers
 from rviz_gaussian_plugin.offscreen import Renderer
 from rviz_gaussian_plugin.viewer.orbit import bounds
+from rviz_gaussian_plugin.viewer.panoramas import Panoramas
 
 if TYPE_CHECKING:
     from rosplat_core.first_look import FirstView as View
@@ -108,6 +109,7 @@ class Viewer(Node):
         try:
             self.renderer.settings.order = ORDER_SOURCES[order_source]
             self.renderer.settings.detail = detail
+            self.renderer.settings.depths = self.serves
             self._connect()
         except BaseException:
             del self.renderer  # while its display is there
@@ -122,6 +124,7 @@ class Viewer(Node):
         self._sequence = 0
         self._published = 0.0
         self._requests: queue.Queue[_Request] = queue.Queue()
+        self._panoramas: Panoramas | None = None
 
         own = MutuallyExclusiveCallbackGroup
         self._map = MapReceiver(self, self._on_batch)
@@ -341,11 +344,13 @@ class Viewer(Node):
         shown_detail = self.renderer.settings.detail
         try:
             self.renderer.settings.detail = request.detail or "full"
-            report = self.draw_still(
-                request.camera, "render", min(request.order_timeout, LONGEST_WAIT)
-            )
-            response.color = to_image(self.renderer.read_color(), "32FC4")
-            response.depth = to_image(self.renderer.read_depth(), "32FC1")
+            if request.camera.projection == ViewCamera.EQUIRECTANGULAR:
+                color, depth, report = self._draw_panorama(request)
+            else:
+                wait = min(request.order_timeout, LONGEST_WAIT)
+                report = self.draw_still(request.camera, "render", wait)
+                color, depth = self.renderer.read_color(), self.renderer.read_depth()
+            response.color, response.depth = to_image(color, "32FC4"), to_image(depth, "32FC1")
         except ExternalShutdownException:
             raise
         except Exception as error:  # no request may end the viewer
@@ -362,6 +367,29 @@ class Viewer(Node):
         ):  # fmt: skip
             setattr(response, name, report[name])
         response.success = True
+
+    def _draw_panorama(
+        self, request: RenderView.Request
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], dict[str, Any]]:
+        """Colours, depths and a report, as Renderer.draw has it."""
+        self.renderer.upload(all=True)
+        if not self._panoramas:
+            self._panoramas = Panoramas(self)
+        began = time.monotonic()
+        picture, whole = self._panoramas.draw(
+            request.camera, self.renderer.map_id, self.renderer.revision
+        )
+        books = self._panoramas.renderer.map
+        detail = self.renderer.settings.detail
+        report = {
+            "splats": books.splats, "map_id": books.map_id, "revision": books.revision,
+            "map_complete": whole, "error": 0.0, "order_source": "processor", "sort_time": 0.0,
+            "detail_error": "" if detail == "full" else "a panorama is drawn in full",
+            "draw_time": time.monotonic() - began,
+        }  # fmt: skip
+        assert picture.depth is not None
+        depth = np.where(np.isfinite(picture.depth), picture.depth, np.float32(np.nan))
+        return picture.colour, depth, report
 
 
 @dataclass

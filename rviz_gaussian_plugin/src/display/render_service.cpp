@@ -100,6 +100,7 @@ Clock::time_point RenderService::deadline() const {
 RenderSettings RenderService::settings() const {
   RenderSettings settings = inFull(cloud_.settings());
   settings.detail = detail_;
+  settings.depths = true;
   return settings;
 }
 

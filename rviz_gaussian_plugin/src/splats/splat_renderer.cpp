@@ -100,7 +100,7 @@ SplatRenderer::RenderedView& SplatRenderer::view(const std::string& name) {
       if (at->second.used < oldest->second.used) oldest = at;
     }
     if (bytes > kMostViewBytes) {
-      if (oldest->second.state.get() == drawn_) drawn_ = nullptr;
+      if (drawn_ && oldest->second.state.get() == drawn_->view) drawn_.reset();
       auto node = views_.extract(oldest);
       node.key() = name;
       found = views_.insert(std::move(node)).position;
@@ -125,7 +125,7 @@ void SplatRenderer::forget(const std::string& view_id) {
 void SplatRenderer::drop(const std::string& name) {
   const auto found = views_.find(name);
   if (found == views_.end()) return;
-  if (found->second.state.get() == drawn_) drawn_ = nullptr;
+  if (drawn_ && found->second.state.get() == drawn_->view) drawn_.reset();
   if (begun_ && found->second.state.get() == begun_->view) begun_.reset();
   views_.erase(found);
 }
@@ -203,6 +203,7 @@ SplatRenderer::Begun::Begun(const SplatRenderer& renderer, const CardPicture& of
 
 void SplatRenderer::begin(const CardPicture& picture, Canvas canvas) {
   begun_.reset();
+  drawn_.reset();  // whose maps may have been replaced
   const gl::Turn turn(sort_is_free_);
   const gl::ComputeScope scope;
   gl::deleteAbandoned();
@@ -217,6 +218,7 @@ void SplatRenderer::begin(const CardPicture& picture, Canvas canvas) {
   begun->chosen = std::move(chosen);
   begun->view = &view;
   Frame& frame = begun->frame;
+  frame.depths = picture.settings().depths;
   for (std::size_t i = 0; i < frame.layers.size(); ++i) {
     frame.layers[i].error = begun->chosen[i].error;
   }
@@ -234,7 +236,6 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const Surroundings& around
   const gl::Turn turn(sort_is_free_, true);  // after that of begin()
   ViewState& view = *of_view;
   stopwatch.lap("");  // of the scene
-  drawn_ = &view;
   const SplatCamera& camera = frame.camera();
   if (translucent) {
     keepTranslucent(view, camera, translucent);
@@ -281,6 +282,8 @@ std::vector<SplatRenderer::OfMap> SplatRenderer::draw(const Surroundings& around
   }
   leaves_out_ = view.tiles().leavesOut();
   profile_ = stopwatch.laps();
+  drawn_ = {std::move(picture), {}, canvas, &view};
+  for (const FrameLayer& layer : frame.layers) drawn_->errors.push_back(layer.error);
   return drawn;
 }
 
@@ -303,20 +306,25 @@ void SplatRenderer::drawBefore(const std::string& view_id) const {
   composite(window, view->color);
 }
 
+void SplatRenderer::blendDepth(ViewState& view, Frame& frame, const gl::Target& target) {
+  frame.depths = true;
+  do {
+    view.prepare(frame);
+    view.blendDepth(target);
+  } while (!view.checkRoom());
+}
+
 void SplatRenderer::drawSurface(const CardPicture& picture, Canvas canvas, double far_clip) {
   const gl::Turn turn(sort_is_free_);
   gl::Stopwatch stopwatch(false);
   const CanvasScope window(canvas);
   ViewState& view = *this->view(kMouseView).state;
-  const Frame frame = this->frame(picture, canvas, stopwatch);
+  Frame frame = this->frame(picture, canvas, stopwatch);
   const SplatCamera& camera = frame.camera();
   surface_depth_.become(GL_RGBA32F, camera.width, camera.height, window.targetDepth());
   const gl::DrawScope scope(surface_depth_);
   copyDepth(window, surface_depth_);
-  do {
-    view.prepare(frame);
-    view.blendDepth(surface_depth_);
-  } while (!view.checkRoom());
+  blendDepth(view, frame, surface_depth_);
   glDisable(GL_BLEND);
   glDisable(GL_DEPTH_TEST);
   surface_.use();
@@ -360,12 +368,13 @@ std::vector<SplatValues> SplatRenderer::readSlots(const CardMap& map,
 
 std::vector<float> SplatRenderer::readColor() const {
   if (!drawn_) return {};
-  const gl::Target& color = drawn_->color;
+  const ViewState& view = *drawn_->view;
+  const gl::Target& color = view.color;
   const std::size_t row = 4 * static_cast<std::size_t>(color.width());
   const gl::StateGuard guard;
   const gl::DrawScope scope(color);
   std::vector<float> pixels = gl::readPixels(color.width(), color.height());
-  if (!drawn_->topFirst()) {
+  if (!view.topFirst()) {
     for (std::size_t top = 0, bottom = pixels.size() - row; top < bottom;
          top += row, bottom -= row) {
       std::swap_ranges(&pixels[top], &pixels[top] + row, &pixels[bottom]);
@@ -376,23 +385,29 @@ std::vector<float> SplatRenderer::readColor() const {
 
 std::vector<float> SplatRenderer::readDepth() {
   if (!drawn_) return {};
+  const gl::Turn turn(sort_is_free_);
+  gl::Stopwatch stopwatch(false);
   const CanvasScope window(Canvas::kNone);
-  const gl::Target& color = drawn_->color;
+  ViewState& view = *drawn_->view;
+  const gl::Target& color = view.color;
   const int width = color.width(), height = color.height();
   depth_.become(GL_RGBA32F, width, height, color.depthFormat());
   const gl::DrawScope drawn(color);
   const gl::DrawScope scope(depth_);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, drawn.framebuffer());
   glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, GL_DEPTH_BUFFER_BIT, GL_NEAREST);
-  drawn_->use();
-  drawn_->blendDepth(depth_);
+  Frame frame = this->frame(drawn_->picture, drawn_->canvas, stopwatch);
+  for (std::size_t i = 0; i < frame.layers.size(); ++i) {
+    frame.layers[i].error = drawn_->errors[i];
+  }
+  blendDepth(view, frame, depth_);
   const std::size_t columns = static_cast<std::size_t>(width),
                     rows = static_cast<std::size_t>(height);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, scope.framebuffer());
   const std::vector<float> blended = gl::readPixels(width, height);
   std::vector<float> depths(columns * rows);
   for (std::size_t row = 0; row < rows; ++row) {
-    const float* source = &blended[4 * columns * (drawn_->topFirst() ? row : rows - 1 - row)];
+    const float* source = &blended[4 * columns * (view.topFirst() ? row : rows - 1 - row)];
     for (std::size_t column = 0; column < columns; ++column, source += 4) {
       depths[columns * row + column] =
           source[3] > 0.0f ? source[0] / source[3] : std::numeric_limits<float>::quiet_NaN();

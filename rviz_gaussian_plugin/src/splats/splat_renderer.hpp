@@ -69,7 +69,8 @@ class SplatRenderer {
   void drawBefore(const std::string& view_id) const;
 
   // Writes the depth of the splats' surface, for rviz's mouse tools, into the current framebuffer
-  // and viewport: mean depth / far_clip as 24-bit colour, lowest byte in blue.
+  // and viewport: mean depth / far_clip as 24-bit colour, lowest byte in blue. Depths are those
+  // where a ray meets a splat: an ellipse's plane, as splat_depths.glsl has it.
   void drawSurface(const CardPicture& picture, Canvas canvas, double far_clip);
 
   // Finds the splat that contributes most to each pixel, if that is at least a twentieth of its
@@ -85,8 +86,8 @@ class SplatRenderer {
 
   // The splats that draw() blended: width * height * 4 floats, premultiplied, top row first.
   std::vector<float> readColor() const;
-  // Draws the mean depth of the splats as draw() saw them: width * height [m], NaN where there are
-  // none. Only right after draw(): a picture for mouse tools may take over the view's state.
+  // Draws the mean depth of the picture that draw() drew last: width * height [m], NaN where there
+  // are no splats. Maps are shown as they are now.
   std::vector<float> readDepth();
 
   // For the user: what the driver can't do and what is done instead. Empty if it can do everything.
@@ -116,6 +117,13 @@ class SplatRenderer {
     gl::Stopwatch stopwatch;
     Frame frame;  // of `picture`
   };
+  // The picture that was drawn last.
+  struct Drawn {
+    CardPicture picture;
+    std::vector<double> errors;  // of its layers, as Frame has them
+    Canvas canvas;
+    ViewState* view;
+  };
 
   // The state of a view. If all states take too much memory, a new view takes over the oldest one.
   RenderedView& view(const std::string& name);
@@ -123,6 +131,8 @@ class SplatRenderer {
   const ViewState* stateOf(const std::string& view_id) const;
   void drop(const std::string& name);
   Frame frame(const CardPicture& picture, Canvas canvas, gl::Stopwatch& stopwatch) const;
+  // Submits the depths of a frame into a target, whose own depths hide splats.
+  static void blendDepth(ViewState& view, Frame& frame, const gl::Target& target);
   // Copies the window's depth into the target that is bound, or clears that if the driver can't.
   void copyDepth(const CanvasScope& window, const gl::Target& target);
   static void keepTranslucent(ViewState& view, const SplatCamera& camera,
@@ -143,7 +153,7 @@ class SplatRenderer {
   std::map<std::string, RenderedView> views_;  // by name
   std::uint64_t used_ = 0;                     // number of view() calls
   std::unique_ptr<Begun> begun_;
-  ViewState* drawn_ = nullptr;  // last
+  std::optional<Drawn> drawn_;
   std::size_t picked_layers_ = 0;
   gl::Target depth_, surface_depth_, pick_depth_;
   std::map<GLenum, bool> copies_depth_;  // whether the driver does, by format

@@ -12,7 +12,7 @@ namespace rosplat {
 class PaintedSurface {
  public:
   PaintedSurface() = default;
-  // depths: PictureDepth::kMean of the camera's picture [m].
+  // depths: PictureDepth::kMean of the camera's picture [m]; of planes, where the camera rests.
   PaintedSurface(const SplatCamera& camera, std::vector<float> depths)
       : camera_(camera), depths_(std::move(depths)) {}
 

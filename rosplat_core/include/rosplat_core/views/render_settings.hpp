@@ -68,6 +68,8 @@ struct RenderSettings : SplatSettings {
   // Nobody waits for a picture: the processor paints after the camera, and the newest picture is
   // shown meanwhile. The level of detail approaches a budget in small steps.
   bool interactive = false;
+  // Depths will be read: the card finds them with the picture, not later.
+  bool depths = false;
   std::optional<Model> model;  // in place of the map's own
   OrderSource order = OrderSource::kAuto;
   Rasterizer rasterizer = Rasterizer::kAuto;

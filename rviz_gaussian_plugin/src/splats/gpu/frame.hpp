@@ -48,6 +48,7 @@ struct Frame {
   bool top_first;  // the target's first row is the picture's top
   double now;      // the clock of `change` in packed_slot.hpp
   gl::Stopwatch& stopwatch;
+  bool depths = false;  // depths are blended, too: as splat_depths.glsl has them
 
   const SplatCamera& camera() const { return layers.front().camera; }
   Shapes shapes() const {

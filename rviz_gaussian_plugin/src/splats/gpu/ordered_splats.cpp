@@ -24,7 +24,7 @@ bool OrderedSplats::answers(const Frame& frame) const {
            prepared.error == layer.error &&
            layer.settings.mode != DrawMode::kAge;  // ages change with time
   };
-  return kept_ && order_ == frame.order &&
+  return kept_ && order_ == frame.order && (depths_ || !frame.depths) &&
          std::equal(prepared_.begin(), prepared_.end(), frame.layers.begin(), frame.layers.end(),
                     same);
 }
@@ -36,6 +36,7 @@ void OrderedSplats::prepare(const Frame& frame, double growth) {
     prepared_.push_back(
         {layer.camera, layer.settings, layer.model(), layer.store.version(), layer.error});
   }
+  depths_ = frame.depths;
   if (order_ != frame.order) takeOrder(frame.order);
   projection_.prepare(frame, growth);
   sort_.reserve(projection_.room());

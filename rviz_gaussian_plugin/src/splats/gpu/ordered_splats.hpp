@@ -64,7 +64,8 @@ class OrderedSplats {
   gl::Buffer slots_;        // of `order_`
   gl::Slice order_length_;  // of `order_`
   std::vector<Prepared> prepared_;
-  bool kept_ = false;  // nothing of `prepared_` was left out
+  bool depths_ = false;  // Frame::depths of these
+  bool kept_ = false;    // nothing of `prepared_` was left out
   gl::Buffer page_numbers_, drawn_;
   UsageTracker drawn_used_;  // of `drawn_`
   std::size_t count_ = 0;

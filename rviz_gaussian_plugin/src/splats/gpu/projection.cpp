@@ -1,6 +1,7 @@
 #include "gpu/projection.hpp"
 
 #include <algorithm>
+#include <initializer_list>
 
 #include "gl/driver.hpp"
 #include "gpu/view_block.hpp"
@@ -16,15 +17,24 @@ constexpr std::array<const char*, kMaxShDegree + 1> kBands{"", "Band1", "Band2",
 constexpr std::array<const char*, Shaders::kEllipseParts> kEllipses{"Ellipses[0]", "Ellipses[1]",
                                                                     "Ellipses[2]", "Ellipses[3]"};
 
+// Returns the program that projects. of: a file that says what for.
+ShapedProgram projector(Shaders& shaders, std::initializer_list<const char*> of) {
+  Shaders::Files files{"splat_map.glsl",   "splat_slot.glsl", "splat_groups.glsl",
+                       "splat_pages.glsl", "splat_cut.glsl",  "splat_ellipses.glsl",
+                       "splat_tiles.glsl"};
+  files.insert(files.end(), of);
+  files.push_back("splat_project.comp");
+  return {shaders, files};
+}
+
 constexpr std::size_t kShareStep = gl::Slice::kAlignment / sizeof(GLuint);
 
 }  // namespace
 
 Projection::Projection(Shaders& shaders, const Tallies& tallies)
     : shaders_(shaders),
-      project_(shaders,
-               {"splat_map.glsl", "splat_slot.glsl", "splat_groups.glsl", "splat_pages.glsl",
-                "splat_cut.glsl", "splat_ellipses.glsl", "splat_tiles.glsl", "splat_project.comp"}),
+      project_(projector(shaders, {})),
+      project_depths_(projector(shaders, {"splat_depths.glsl"})),
       seen_(tallies.of(Tallies::kSeen)) {}
 
 void Projection::prepare(const Frame& frame, double growth) {
@@ -57,6 +67,7 @@ void Projection::prepare(const Frame& frame, double growth) {
         std::min({withSlack(slots(), growth), static_cast<std::size_t>(all), most});
     reserve(std::max({room_, slots(), roomy, std::size_t{SlotPage::kSlots}}), frame.cuts());
   }
+  if (frame.depths) planes_.reserve(room_ * 2 * sizeof(GLfloat));
 }
 
 void Projection::reserve(std::size_t slots, bool shares) {
@@ -74,6 +85,7 @@ void Projection::reserve(std::size_t slots, bool shares) {
 void Projection::release() {
   for (gl::Buffer& part : ellipses_) part.release();
   boxes_.release();
+  planes_.release();
   shares_begin_ = room_ = 0;
 }
 
@@ -89,7 +101,7 @@ void Projection::run(const Frame& frame, const gl::Buffer& keys) {
     }
     of_layers_.zero();
   }
-  const gl::Program& program = project_.of(shapes_);
+  const gl::Program& program = (frame.depths ? project_depths_ : project_).of(shapes_);
   program.use();
   program.set("first_share", static_cast<GLuint>(shares_begin_ / sizeof(GLuint)));
   program.set("one_layer", int(layers == 1));
@@ -98,6 +110,7 @@ void Projection::run(const Frame& frame, const gl::Buffer& keys) {
   program.bind("Seen", seen_);
   program.bind("OfLayers", layers > 1 ? gl::Slice{of_layers_.id(), 0, of_layers_.bytes()} : seen_);
   program.bind("Boxes", boxes_);
+  program.bind("Planes", planes_);
   program.bind("Groups", groups_);
   program.bind("Pages", pages_.table());
   for (const PageTable::Range& range : pages_.ranges()) {
@@ -140,7 +153,8 @@ void Projection::bindEllipses(const gl::Program& program) const {
 }
 
 std::size_t Projection::bytes() const {
-  std::size_t bytes = pages_.bytes() + groups_.bytes() + maps_.bytes() + boxes_.bytes();
+  std::size_t bytes =
+      pages_.bytes() + groups_.bytes() + maps_.bytes() + boxes_.bytes() + planes_.bytes();
   for (const gl::Buffer& part : ellipses_) bytes += part.bytes();
   return bytes;
 }

@@ -38,7 +38,8 @@ class Projection {
   // Binds the buffers of splat_ellipses.glsl.
   void bindEllipses(const gl::Program& program) const;
   const PageTable& pages() const { return pages_; }
-  const gl::Buffer& boxes() const { return boxes_; }  // as splat_tiles.glsl has them
+  const gl::Buffer& boxes() const { return boxes_; }    // as splat_tiles.glsl has them
+  const gl::Buffer& planes() const { return planes_; }  // of a frame of depths
   // Whether nodes stand for some splats. If so, shares() are the drawn shares, else anything.
   bool hasShares() const { return shares_begin_ > 0; }
   gl::Slice shares() const { return {boxes_.id(), shares_begin_, boxes_.bytes() - shares_begin_}; }
@@ -50,13 +51,13 @@ class Projection {
 
   PageTable pages_;
   Shaders& shaders_;
-  ShapedProgram project_;
+  ShapedProgram project_, project_depths_;
   Shapes shapes_ = Shapes::kEllipses;
   gl::Buffer groups_, maps_;  // as splat_groups.glsl and splat_map.glsl have them
   gl::Buffer of_layers_;      // with several layers: how many splats are seen of each
   std::optional<gl::Readback> of_layers_copy_;
   std::array<gl::Buffer, Shaders::kEllipseParts> ellipses_;
-  gl::Buffer boxes_;
+  gl::Buffer boxes_, planes_;
   std::size_t shares_begin_ = 0;  // in `boxes_` [bytes]; 0: no shares
   gl::Slice seen_;
   std::size_t room_ = 0;

@@ -289,6 +289,7 @@ void TileRasterizer::blendTiles(const gl::Program& program, const OrderedSplats&
   splats.projection().bindEllipses(program);
   program.bind("Seen", splats.projection().seen());
   program.bind("Shares", splats.projection().shares());
+  program.bind("Planes", splats.projection().planes());
   glActiveTexture(GL_TEXTURE0);
   glBindTexture(GL_TEXTURE_2D, target.depth());
   glBindImageTexture(0, target.color(), 0, GL_FALSE, 0, GL_WRITE_ONLY, target.format());

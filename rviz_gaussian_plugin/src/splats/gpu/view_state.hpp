@@ -39,7 +39,8 @@ class ViewState {
   // Submits the blending of the splats that the depth of `color` lets pass into `color`. divided:
   // `behind` gets the splats that the depth of `color` hides and its own doesn't.
   void blend(gl::Stopwatch& stopwatch, bool divided);
-  // Blends depths into a target instead: see TileRasterizer. Waits for the lists' counts.
+  // Blends depths of a frame of these into a target instead: see TileRasterizer. Waits for the
+  // lists' counts.
   void blendDepth(const gl::Target& target);
   // Returns whether there was room for all that was submitted; else makes room. Waits only for the
   // counts, which the graphics card finds first.
