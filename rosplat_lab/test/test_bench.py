@@ -181,14 +181,6 @@ def test_the_chain_is_measured_from_pose_to_picture(tmp_path: Path) -> None:
     assert 20 < idle.value < programs["sorter"]
 
 
-def test_orders_are_measured_in_every_form(tmp_path: Path) -> None:
-    records = bench(tmp_path, "transport", "--sizes", "2000")
-    orders = [record for record in records if record.name == "order"]
-    ways = {record.parameters["way"] for record in orders if record.splats == 2000}
-    assert ways == {"inline", "packed", "shared memory"}
-    assert any(record.name == "publish to visible" for record in records)
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

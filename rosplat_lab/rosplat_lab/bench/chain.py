@@ -37,7 +37,7 @@ def measure(plan: Plan) -> Iterator[Event]:
                 plan.out, ("ply_publisher", "-p", f"path:={quoted(name)}"),
                 backend=backend, rate=rate,
                 picture=QUICK_PICTURE if plan.quick else PICTURE,
-                until=live.for_seconds(SETTLING + (QUICK_SECONDS if plan.quick else SECONDS)),
+                seconds=SETTLING + (QUICK_SECONDS if plan.quick else SECONDS),
             )  # fmt: skip
         except (ProcessError, TimeoutError) as error:
             yield Skipped(f"{name}, {backend}, {rate:.0f} Hz: {error}")

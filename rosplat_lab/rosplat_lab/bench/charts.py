@@ -115,14 +115,6 @@ CHARTS = (
         parameter("display"), parameter("camera", "view"),
     ),
     Chart(
-        "transport-orders", "transport", "order", "An order between two processes", "time [ms]",
-        parameter("way"), x="slots",
-    ),
-    Chart(
-        "transport-map", "transport", "publish to visible", "A map, published to visible",
-        "time [ms]", parameter("backend"),
-    ),
-    Chart(
         "chain-latency", "chain", "pose to picture", "From pose to picture", "time [ms]",
         at_rate,
     ),

@@ -77,10 +77,6 @@ SUBJECTS = {
     "stream": Subject(
         "a scene larger than memory, with a camera that flies, rests and jumps", needs_ros=True
     ),
-    "transport": Subject(
-        "orders and batches between two processes; a map from publishing to the picture",
-        needs_ros=True,
-    ),
     "chain": Subject("from pose to picture through publisher, sorter and viewer", needs_ros=True),
 }
 

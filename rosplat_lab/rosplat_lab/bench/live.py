@@ -6,7 +6,7 @@ import importlib
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -49,18 +49,19 @@ def watch(
     backend: str,
     rate: float,
     picture: tuple[int, int],
-    until: Callable[[Watched], bool],
-    begin: Callable[[Programs], None] | None = None,
+    seconds: float,
 ) -> Watched:
-    """Runs the three until `until`, called now and then, returns that it has seen enough.
+    """Runs the three for so many seconds after a complete map's first order.
 
     publisher: an executable of rosplat_tools and its arguments. backend: of the sorter, or
-    GPU or PROCESSOR. rate: at which the camera turns [Hz]. begin: called when all three
-    run. Raises ProcessError if one of them ends by itself.
+    GPU or PROCESSOR. rate: at which the camera turns [Hz]. Raises ProcessError if one of them
+    ends by itself, TimeoutError if no such order comes.
     """
     log = out / "log"
     trace = log / "trace.json"
     seen = Watched()
+    # Beside a sorter, the viewer draws by the sorter's orders alone.
+    source = "sidecar" if backend in BACKENDS else "auto"
     with Programs(log) as processes:
         trace.unlink(missing_ok=True)
         programs = {}
@@ -79,7 +80,7 @@ def watch(
                 sys.executable, "-m", "rosplat_lab.bench.moving_viewer", *processes.remap,
                 "-p", f"trace:={quoted(trace)}", "-p", f"rate:={rate}",
                 "-p", f"width:={picture[0]}", "-p", f"height:={picture[1]}",
-                "-p", f"order_source:={order_source(backend).lower()}",
+                "-p", f"order_source:={source}",
             ],
         )  # fmt: skip
         while not trace.exists():  # the viewer is ready, and misses nothing
@@ -87,11 +88,11 @@ def watch(
             time.sleep(0.05)
         command = node_command("rosplat_tools", publisher[0], *processes.remap, *publisher[1:])
         programs["publisher"] = processes.start("publisher", command)
-        if begin:
-            begin(processes)
         with trace.open(encoding="utf-8") as lines:
             rest = ""
-            while not until(seen):
+            began = time.monotonic()
+            end: float | None = None
+            while end is None or time.monotonic() < end:
                 time.sleep(SAMPLE)
                 processes.check()
                 now = time.time()
@@ -103,7 +104,12 @@ def watch(
                     seen.most_ram[name] = max(machine.peak_bytes(process.pid), known)
                 text = rest + lines.read()
                 *complete, rest = text.split("\n")
-                seen.frames += [json.loads(line) for line in complete]
+                new = [json.loads(line) for line in complete]
+                seen.frames += new
+                if end is None and any(map(is_answered, new)):
+                    end = time.monotonic() + seconds
+                if end is None and time.monotonic() - began > START_TIMEOUT:
+                    raise TimeoutError("no complete map was seen, or nobody sorted it")
     return seen
 
 
@@ -117,45 +123,9 @@ def has_ros() -> bool:
     return True
 
 
-def order_source(backend: str) -> str:
-    """The OrderSource by which a viewer draws this backend's orders, and nobody else's."""
-    return "AUTO" if backend in (GPU, PROCESSOR) else "SIDECAR"
-
-
 def is_answered(frame: Frame) -> bool:
     """Whether the frame shows a complete map, and an order has come or is fresh."""
     return bool(frame["complete"] and (frame["arrivals"] or frame["fresh"]))
-
-
-def for_seconds(seconds: float) -> Callable[[Watched], bool]:
-    """`until`: so long after a complete map's first order; raises TimeoutError without one."""
-    return _after(is_answered, seconds)
-
-
-def is_settled(frame: Frame) -> bool:
-    """Whether the frame shows a complete map by an order of all of it."""
-    known = (arrival["revision"] >= frame["revision"] for arrival in frame["arrivals"])
-    return bool(frame["complete"] and (frame["fresh"] or any(known)))
-
-
-def until_settled() -> Callable[[Watched], bool]:
-    """`until`: a picture shows a complete map, sorted for it; raises TimeoutError if none does."""
-    return _after(is_settled, 0.0)
-
-
-def _after(reached: Callable[[Frame], bool], seconds: float) -> Callable[[Watched], bool]:
-    began = time.monotonic()
-    since: list[float] = []
-
-    def enough(seen: Watched) -> bool:
-        now = time.monotonic()
-        if not since and any(reached(frame) for frame in seen.frames[-1000:]):
-            since.append(now)
-        if not since and now - began > START_TIMEOUT:
-            raise TimeoutError("no complete map was seen, or nobody sorted it")
-        return bool(since) and now - since[0] >= seconds
-
-    return enough
 
 
 def backends(asked: Sequence[str], *own: str) -> tuple[list[str], list[records.Skipped]]:

@@ -13,10 +13,9 @@ from typing import TextIO
 
 import numpy as np
 
-from rosplat_core.maps import Arrival
 from rosplat_lab.bench.embedded import gl_finish
 from rosplat_lab.bench.scenes import STEP
-from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
+from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import run, spinning
 from rosplat_ros.view_cameras import view_camera
@@ -30,7 +29,7 @@ IDLE = 0.0005  # between looks at whether there is something to draw [s]
 
 
 class MovingViewer(Viewer):
-    """A viewer that remembers when batches and orders arrived."""
+    """A viewer that remembers when orders arrived."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -38,17 +37,8 @@ class MovingViewer(Viewer):
             self, "rate", 30.0, "How often the camera turns. [Hz]", 0.01, 1e4
         )
         self.trace: str = declare(self, "trace", "", "File to write a line of JSON a frame to.")
-        self.published = math.nan  # when the publisher made the map's first batch, of time.time()
-        self.received = math.nan  # when the last batch had been taken
         self._arrivals: list[dict[str, float]] = []
         self._lock = threading.Lock()
-
-    def _on_batch(self, message: GaussianArray, arrival: Arrival) -> None:
-        if message.operation == GaussianArray.REPLACE:
-            stamp = message.header.stamp
-            self.published = stamp.sec + 1e-9 * stamp.nanosec
-        super()._on_batch(message, arrival)
-        self.received = time.time()
 
     def _on_order(self, message: SplatOrder) -> bool:
         if not super()._on_order(message):
@@ -56,10 +46,8 @@ class MovingViewer(Viewer):
         arrival = {
             "time": time.time(),
             "sequence": message.sequence,
-            "revision": message.revision,
             "sort_time": message.sort_time,
             "encoding": message.encoding,
-            "bytes": len(message.packed),
         }
         with self._lock:
             self._arrivals.append(arrival)
@@ -123,11 +111,8 @@ def watch(viewer: MovingViewer, trace: TextIO) -> None:
             "frame": ended - began,
             "splats": splats,
             "complete": complete,
-            "revision": revision,
             "fresh": report["order_fresh"],
             "renderer": viewer.renderer.renderer_info,
-            "published": viewer.published,
-            "received": viewer.received,
             "arrivals": arrivals,
             "latency": ended - looked[answered] if is_new else math.nan,
         }
