@@ -53,9 +53,7 @@ class Subject:
 
 SUBJECTS = {
     "sort": Subject("depth orders by every backend, each first held against the reference order"),
-    "frame": Subject(
-        "frames, their error and stages, beside other renderers; a map that streams in; memory"
-    ),
+    "frame": Subject("frames, their error and stages, beside other renderers; memory"),
     "levels": Subject("time, memory and popping of levels of detail"),
     "simplify": Subject("error of simplified maps, and the processor time of making them"),
     "bound": Subject("what simplify promises, and what views have that it never saw"),

@@ -18,7 +18,7 @@ from rosplat_core.models import Model
 from rosplat_core.scenes import ROOMS
 from rosplat_core.splats import InputError, Splats
 from rosplat_lab import machine
-from rosplat_lab.bench import embedded, live, renderers, scenes, streaming, truths
+from rosplat_lab.bench import embedded, live, renderers, scenes, truths
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
@@ -27,7 +27,6 @@ from rosplat_lab.bench.renderers import RENDERERS
 SIZES = (100_000, 500_000, 1_000_000, 2_000_000, 5_000_000)
 SOFTWARE_SIZES = (100_000, 500_000)  # where no GPU draws
 QUICK_SIZES = (50_000,)
-STREAMED, QUICK_STREAMED = 5_000_000, 100_000
 CARD_PICTURES = (*scenes.PICTURES, (3840, 2160))
 STEPS = 8  # cameras that take turns
 PROFILED = Budget(least=3, most=30, seconds=0.5)  # frames whose stages are measured
@@ -91,8 +90,7 @@ Truths = dict[Look, truths.Truth]
 
 
 def measure(plan: Plan) -> Iterator[Event]:
-    """Frame times and errors by scene, picture, view, settings and order; memory; frames of a
-    growing map."""
+    """Frame times and errors by scene, picture, view, settings and order; memory."""
     try:
         from rviz_gaussian_plugin.offscreen import ensure_display
     except ImportError as error:
@@ -128,9 +126,6 @@ def measure(plan: Plan) -> Iterator[Event]:
                     jobs.append(partial(isolated, _scene, plan, name, looks, told, alike, maps))
                 if beside := [renderer for renderer in chosen if renderer in RENDERERS]:
                     jobs.append(partial(isolated, _beside, plan, name, looks, told, beside))
-            if ours:
-                streamed = max(plan.sizes, default=QUICK_STREAMED if plan.quick else STREAMED)
-                jobs.append(partial(isolated, streaming.measure, streamed))
             for number, job in enumerate(jobs):
                 yield from _part_of(job(), number, len(jobs))
     except RuntimeError as error:
