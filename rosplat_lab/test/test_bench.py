@@ -68,18 +68,17 @@ def test_cameras_of_a_view_turn_by_a_degree() -> None:
 
 
 def test_pictures_are_measured_with_each_kind_of_order(tmp_path: Path) -> None:
-    variants = ["default", "translucent"]
-    records = bench(tmp_path, "frame", "--sizes", "2000", "--variants", *variants)
+    records = bench(tmp_path, "frame", "--sizes", "2000", "--variants", "default", "ray")
     frames = {str(r.parameters["order"]): r for r in records if r.name == "frame"}
     assert {"given", "sorted in the frame, GPU"} <= frames.keys()
     assert all(record.parameters["drawn"] == 2000 for record in frames.values())
-    assert {r.parameters["variant"] for r in records if r.name == "frame"} == set(variants)
+    assert {r.parameters["variant"] for r in records if r.name == "frame"} == {"default", "ray"}
     errors = {r.parameters["variant"]: r.value for r in records if r.name == "PSNR"}
-    assert errors.keys() == {"default"}  # the reference knows no box
+    assert errors.keys() == {"default"}  # the reference draws the map in its own model
     assert errors["default"] > 60
     by_name = {record.name: record for record in records}
-    # Position, shape, opacity and 16 harmonics of three colours, and the picture, are somewhere.
-    assert by_name["GPU memory"].value * 1e6 > 2000 * 59 * 4 + 1280 * 720 * 8
+    assert by_name["GPU memory of the map"].value > 0
+    assert by_name["GPU memory"].value * 1e6 >= 1280 * 720 * 4  # the picture is there, too
     assert "OpenGL" in records[0].gpu
 
 

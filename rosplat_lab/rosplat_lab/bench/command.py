@@ -204,7 +204,7 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument(
         "--variants", nargs="+", default=[], metavar="NAME",
-        help="of what frame draws: default, tiles, processor, translucent, "
+        help="of what frame draws: default, tiles, processor, "
         f"'four maps', ray, disc, or another renderer: {', '.join(RENDERERS)}; of levels: card, "
         "processor",
     )  # fmt: skip

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import rendering
-from rosplat_core.cameras import Camera, Place, place
+from rosplat_core.cameras import Camera
 from rosplat_core.models import Model
 from rosplat_core.scenes import ROOMS
 from rosplat_core.splats import InputError, Splats
@@ -31,23 +31,21 @@ CARD_PICTURES = (*scenes.PICTURES, (3840, 2160))
 STEPS = 8  # cameras that take turns
 PROFILED = Budget(least=3, most=30, seconds=0.5)  # frames whose stages are measured
 
-QUICK_VARIANTS = ("default",)
-SOFTWARE_VARIANTS = ("default", "translucent")  # where no GPU draws
+FEW_VARIANTS = ("default",)  # of a quick run, and where no GPU draws
 
 
 @dataclass(frozen=True)
 class Variant:
-    """How drawing differs from the default: settings, fields of RenderSettings; a translucent box;
-    the scene as several interleaved maps."""
+    """How drawing differs from the default: settings, fields of RenderSettings; the scene as
+    several interleaved maps."""
 
     settings: dict[str, Any] = field(default_factory=dict)
-    translucent: bool = False
     maps: int = 1
 
     @property
     def has_truth(self) -> bool:
-        """Whether the reference draws it. That knows no box, and draws maps in their own model."""
-        return not self.translucent and "model" not in self.settings
+        """Whether the reference draws it. That draws maps in their own model."""
+        return "model" not in self.settings
 
 
 def variants() -> dict[str, Variant]:
@@ -58,8 +56,6 @@ def variants() -> dict[str, Variant]:
     return {
         "default": Variant(),
         **{name.lower(): Variant({"rasterizer": name}) for name in rasterizers},
-        # A box amid the splats, before some, behind others.
-        "translucent": Variant(translucent=True),
         "four maps": Variant(maps=4),
         # The same map, as if it had been trained so.
         **{str(model): Variant({"model": model}) for model in (Model.EWA, Model.RAY, Model.DISC)},
@@ -108,10 +104,10 @@ def measure(plan: Plan) -> Iterator[Event]:
             pictures: tuple[tuple[int, int], ...] = CARD_PICTURES
             usual: tuple[str, ...] = tuple(variants())
             if software:
-                sizes, usual = SOFTWARE_SIZES, SOFTWARE_VARIANTS
+                sizes, usual = SOFTWARE_SIZES, FEW_VARIANTS
                 pictures = scenes.PICTURES
             if plan.quick:
-                sizes, usual = QUICK_SIZES, QUICK_VARIANTS
+                sizes, usual = QUICK_SIZES, FEW_VARIANTS
             chosen = plan.variants or (*usual, *RENDERERS)
             ours = [variant for variant in chosen if variant in variants()]
             jobs = []
@@ -242,7 +238,6 @@ def _scene(
         bench.view.draw(sort_now=True)  # uploads all that waits
         for variant in chosen:
             drawn = variants()[variant]
-            bench.put_box(place(splats) if drawn.translucent else None)
             size = f"{picture[0]}x{picture[1]}"
             yield Doing(f"{name}, {size}, {view}, {variant}", index / len(looks))
             labels = {
@@ -260,7 +255,6 @@ def _scene(
                 yield Measurement.of("PSNR", "dB", found, **labels)
     if maps > 1:
         return  # only the memory of one map is compared
-    bench.put_box(None)
     report = bench.view.draw()
     del splats, orders
     memory = {
@@ -273,13 +267,6 @@ def _scene(
 
 class Bench(renderers.DisplayRenderer):
     """A renderer with a map, and one view of it, to time frames of."""
-
-    def put_box(self, place: Place | None) -> None:
-        """Puts a translucent box in the middle of a place, as wide as its radius; None: no box."""
-        if place:
-            self.renderer.set_box(tuple(place.centre.tolist()), (place.radius,) * 3, 0.5)
-        else:
-            self.renderer.set_box((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
     def exact(self, camera: Camera) -> NDArray[np.float32]:
         """Premultiplied RGB over black, (height, width, 3), exactly sorted."""
