@@ -184,7 +184,3 @@ def _edge(text: str) -> float:
     if not 0.005 <= edge <= 10:
         raise argparse.ArgumentTypeError(f"expected 0.005 to 10 m, got '{shown(text)}'")
     return edge
-
-
-if __name__ == "__main__":
-    sys.exit(main())

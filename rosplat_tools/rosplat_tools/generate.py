@@ -51,7 +51,3 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     say(f"{shown(options.output, LONGEST_ERROR)}: {options.count:,} splats")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -141,7 +141,3 @@ def main(arguments: list[str] | None = None) -> int:
         except KeyboardInterrupt:
             return 130
     return int(failed)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -211,7 +211,3 @@ def _publish() -> None:
             with contextlib.suppress(Cancelled):  # by ~/load, or by the end of ROS
                 node.load(node.path)
         wait_for_end(node)
-
-
-if __name__ == "__main__":
-    main()

@@ -36,7 +36,8 @@ def sensors(
 ) -> Iterator[subprocess.Popen[str]]:
     """The program in the test's namespace; must end quietly by SIGINT."""
     settings = [word for parameter in parameters for word in ("-p", parameter)]
-    command = [sys.executable, "-m", "rosplat_tools.emulation.demo_sensors", "--ros-args"]
+    program = "from rosplat_tools.commands import demo_sensors; demo_sensors()"
+    command = [sys.executable, "-c", program, "--ros-args"]
     process = subprocess.Popen(
         [*command, "-r", f"__ns:={node.get_namespace()}", *settings, *arguments],
         stdout=subprocess.PIPE,

@@ -132,7 +132,3 @@ def _kept(folder: Path | None) -> dict[str, dict[str, list[Record]]]:
             if folder and (path := folder / f"{kind}{suffix}.json").exists():
                 kept[name][kind] = load([path])
     return kept
-
-
-if __name__ == "__main__":
-    sys.exit(main())

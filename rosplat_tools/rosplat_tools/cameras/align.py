@@ -205,7 +205,3 @@ def _converged(found: Refined) -> Refined:
 def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     run_node("align", AlignNode, AlignNode.align, THREADS)
-
-
-if __name__ == "__main__":
-    main()

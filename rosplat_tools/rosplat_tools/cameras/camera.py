@@ -263,7 +263,3 @@ class _Camera:
 def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     run_node("camera", CameraNode, CameraNode.film)
-
-
-if __name__ == "__main__":
-    main()

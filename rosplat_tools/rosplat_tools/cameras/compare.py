@@ -113,7 +113,3 @@ def main() -> None:
     if any(word.startswith("--bag") for word in sys.argv[1:]):
         sys.exit(compare_bag.main())
     run_node("compare", Compare, Compare.compare, usage="compare --bag BAG [--help] [...]")
-
-
-if __name__ == "__main__":
-    main()

@@ -146,7 +146,3 @@ class Follow(Node):
 def main() -> None:
     """Runs the node until it is told to end."""
     run_node("follow", Follow)
-
-
-if __name__ == "__main__":
-    main()

@@ -96,7 +96,3 @@ class LidarNode(Node):
 def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     run_node("lidar", LidarNode, LidarNode.measure)
-
-
-if __name__ == "__main__":
-    main()

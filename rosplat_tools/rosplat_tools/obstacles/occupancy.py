@@ -409,7 +409,3 @@ def _numbers(name: str, values: Any) -> tuple[float, float]:
 def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     run_node("occupancy", Occupancy, Occupancy.publish)
-
-
-if __name__ == "__main__":
-    main()

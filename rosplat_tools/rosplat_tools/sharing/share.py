@@ -93,7 +93,3 @@ class Share(Node):
 def main() -> None:
     """Runs the node until it is told to end."""
     run_node("share", Share, Share.work)
-
-
-if __name__ == "__main__":
-    main()

@@ -128,7 +128,3 @@ def _publish() -> None:
     node = StreamPublisher()
     with contextlib.closing(node), spinning(node):
         node.stream()
-
-
-if __name__ == "__main__":
-    main()
