@@ -9,33 +9,22 @@ is x y z. Teleoperation in Unity writes rot_w rot_x rot_y rot_z.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import PointCloud2, PointField
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from rosplat_core.formats import ply
 from rosplat_core.formats.decoded import IntoSplats
 from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError, Splats
-from rosplat_ros.messages import as_array, plain_frame
+from rosplat_ros.messages import plain_frame
+from rosplat_tools.clouds import TYPES, cloud
 from rosplat_tools.foreign import MapReader
-
-_TYPES = {
-    PointField.INT8: "i1",
-    PointField.UINT8: "u1",
-    PointField.INT16: "i2",
-    PointField.UINT16: "u2",
-    PointField.INT32: "i4",
-    PointField.UINT32: "u4",
-    PointField.FLOAT32: "f4",
-    PointField.FLOAT64: "f8",
-}
-
 
 _PADDING = ("", "_")  # PCL's names of fields that are none
 _PACKED = ("rgb", "rgba")
@@ -60,22 +49,7 @@ class Reader(MapReader):
 
 def messages(kind: type[PointCloud2], splats: Splats, header: Header) -> Iterator[PointCloud2]:
     """One cloud."""
-    rows = ply.to_rows(splats)
-    layout: Mapping[str, tuple[Any, ...]] = rows.dtype.fields or {}
-    numbers = {np.dtype(code): number for number, code in _TYPES.items()}
-    yield kind(
-        header=header,
-        height=1,
-        width=len(rows),
-        fields=[
-            PointField(name=name, offset=place[1], datatype=numbers[place[0]], count=1)
-            for name, place in layout.items()
-        ],
-        point_step=rows.dtype.itemsize,
-        row_step=rows.nbytes,
-        data=as_array("B", rows),
-        is_dense=True,
-    )
+    yield cloud(header, ply.to_rows(splats))
 
 
 def _rows(message: PointCloud2, name: str) -> NDArray[np.void]:
@@ -86,9 +60,9 @@ def _rows(message: PointCloud2, name: str) -> NDArray[np.void]:
     formats: list[np.dtype[Any]] = []
     offsets: list[int] = []
     for field in message.fields:
-        if field.datatype not in _TYPES or field.name in _PADDING:
+        if field.datatype not in TYPES or field.name in _PADDING:
             continue
-        kind = np.dtype(order + _TYPES[field.datatype])
+        kind = np.dtype(order + TYPES[field.datatype])
         count = max(field.count, 1)  # some drivers leave it at 0, and a cloud's height
         end = field.offset + count * kind.itemsize
         if end > step:

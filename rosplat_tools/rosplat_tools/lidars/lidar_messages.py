@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
-from sensor_msgs.msg import LaserScan, PointCloud2, PointField
+from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 
 from rosplat_core.splats import InputError
 from rosplat_ros.messages import as_array
 from rosplat_ros.program.parameters import declare
+from rosplat_tools.clouds import cloud
 from rosplat_tools.lidars.scanning import Lidar, Pattern, Scan
 
 # As drivers of Velodyne and Ouster lay a point out.
@@ -24,7 +25,6 @@ _POINT = np.dtype(
         ("time", "<f4"),
     ]
 )
-_TYPES = {"<f4": PointField.FLOAT32, "<u2": PointField.UINT16}
 
 
 def declare_lidar(node: Node, prefix: str = "") -> tuple[Lidar, float]:
@@ -70,20 +70,7 @@ def points_message(header: Header, pattern: Pattern, scan: Scan, period: float) 
     rows["intensity"] = scan.intensities[answers]
     rows["ring"] = np.tile(np.arange(rings), columns)[answers]
     rows["time"] = np.repeat(np.arange(columns) * (period / columns), rings)[answers]
-    fields = [
-        PointField(name=name, offset=offset, datatype=_TYPES[kind.str], count=1)
-        for name, (kind, offset, *_) in (_POINT.fields or {}).items()
-    ]
-    return PointCloud2(
-        header=header,
-        height=1,
-        width=len(rows),
-        fields=fields,
-        point_step=_POINT.itemsize,
-        row_step=rows.nbytes,
-        data=as_array("B", rows.view(np.uint8)),
-        is_dense=True,
-    )
+    return cloud(header, rows)
 
 
 def scan_message(

@@ -6,11 +6,12 @@ import numpy as np
 from geometry_msgs.msg import Point, Pose
 from nav_msgs.msg import MapMetaData, OccupancyGrid
 from numpy.typing import NDArray
-from sensor_msgs.msg import PointCloud2, PointField
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from rosplat_core.occupancy import Grid
 from rosplat_ros.messages import as_array
+from rosplat_tools.clouds import cloud
 
 _VOXEL = ("x", "y", "z")
 _SURFACE = (*_VOXEL, "normal_x", "normal_y", "normal_z", "rgb")  # as PCL names them
@@ -55,17 +56,5 @@ def distances_message(
 
 
 def _cloud(header: Header, names: tuple[str, ...], rows: NDArray[np.floating]) -> PointCloud2:
-    fields = [
-        PointField(name=name, offset=4 * number, datatype=PointField.FLOAT32, count=1)
-        for number, name in enumerate(names)
-    ]
-    return PointCloud2(
-        header=header,
-        height=1,
-        width=len(rows),
-        fields=fields,
-        point_step=4 * len(names),
-        row_step=4 * len(names) * len(rows),
-        data=as_array("B", np.ascontiguousarray(rows, np.float32)),
-        is_dense=True,
-    )
+    layout = np.dtype([(name, "f4") for name in names])
+    return cloud(header, np.ascontiguousarray(rows, np.float32).view(layout).ravel())
