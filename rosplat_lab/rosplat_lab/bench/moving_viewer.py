@@ -121,7 +121,6 @@ def watch(viewer: MovingViewer, trace: TextIO) -> None:
 
 
 def main() -> None:
-    """Runs the viewer until it is told to end."""
     run("moving_viewer", _watch)
 
 

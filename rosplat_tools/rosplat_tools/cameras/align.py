@@ -57,7 +57,6 @@ class AlignNode(Node):
     """Callbacks only hand data over; align() draws."""
 
     def __init__(self) -> None:
-        """Raises InputError for a parameter that makes no sense."""
         super().__init__("align")
         self._child: str = declare(
             self, "broadcast", "", "Frame that TF has at the refined pose, empty: none."
@@ -203,5 +202,4 @@ def _converged(found: Refined) -> Refined:
 
 
 def main() -> None:
-    """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     run_node("align", AlignNode, AlignNode.align, THREADS)

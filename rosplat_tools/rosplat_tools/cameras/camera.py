@@ -46,7 +46,6 @@ class CameraNode(Node):
     """Holds one map for all of its cameras. Callbacks only hand data over; film() draws."""
 
     def __init__(self) -> None:
-        """Raises InputError for a parameter that makes no sense."""
         super().__init__("camera")
         names = declare(self, "cameras", ["camera"], "Names of the cameras.")
         rate = declare(
@@ -261,5 +260,4 @@ class _Camera:
 
 
 def main() -> None:
-    """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     run_node("camera", CameraNode, CameraNode.film)

@@ -39,7 +39,6 @@ class Compare(Node):
     """Callbacks only hand data over; compare() draws."""
 
     def __init__(self) -> None:
-        """Raises InputError for a parameter that makes no sense."""
         super().__init__("compare")
         attribute = declare(self, "attribute", False, "Publish the map with a channel residual.")
         aligns = declare(self, "align", False, "Find out by how much poses are off.")

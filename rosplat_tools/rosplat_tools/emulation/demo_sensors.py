@@ -288,5 +288,4 @@ def _covariance(deviation: float) -> NDArray[np.float64]:
 
 
 def main() -> None:
-    """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     run_node("demo_sensors", DemoSensors)

@@ -101,5 +101,4 @@ class SlamEmulator(Node):
 
 
 def main() -> None:
-    """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     run_node("slam_emulator", SlamEmulator)

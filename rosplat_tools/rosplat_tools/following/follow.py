@@ -144,5 +144,4 @@ class Follow(Node):
 
 
 def main() -> None:
-    """Runs the node until it is told to end."""
     run_node("follow", Follow)

@@ -36,7 +36,6 @@ class LidarNode(Node):
     """One lidar. Callbacks only hand data over; measure() measures."""
 
     def __init__(self) -> None:
-        """Raises InputError for a parameter that makes no sense."""
         super().__init__("lidar")
         self._lidar, rate = declare_lidar(self)
         self._frame_id: str = declare(self, "frame_id", "lidar", "Its frame: x forward, z up.")
@@ -94,5 +93,4 @@ class LidarNode(Node):
 
 
 def main() -> None:
-    """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     run_node("lidar", LidarNode, LidarNode.measure)

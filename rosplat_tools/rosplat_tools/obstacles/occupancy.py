@@ -77,7 +77,6 @@ class Occupancy(Node):
     """
 
     def __init__(self) -> None:
-        """Raises InputError for a parameter that makes no sense."""
         super().__init__("occupancy")
         resolution: float = declare(
             self, "resolution", 0.05, "Edge of a voxel, and width of a cell. [m]", 0.005, 10.0
@@ -407,5 +406,4 @@ def _numbers(name: str, values: Any) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     run_node("occupancy", Occupancy, Occupancy.publish)

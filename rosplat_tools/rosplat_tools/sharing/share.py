@@ -91,5 +91,4 @@ class Share(Node):
 
 
 def main() -> None:
-    """Runs the node until it is told to end."""
     run_node("share", Share, Share.work)

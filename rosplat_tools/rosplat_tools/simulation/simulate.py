@@ -366,5 +366,4 @@ class _Scene:
 
 
 def main() -> None:
-    """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
     run_node("simulate", Simulate, Simulate.simulate)
