@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Vector3
 from std_msgs.msg import Header
 
 from rosplat_msgs.msg import FirstView
+from rosplat_ros.poses import to_point, to_vector
 
 if TYPE_CHECKING:
     from rosplat_core.first_look import FirstView as View
@@ -17,15 +17,11 @@ if TYPE_CHECKING:
 
 def first_view_message(view: View, frame_id: str, stamp: Time) -> FirstView:
     """The message for a view of a map in frame_id."""
-    eye, target, up = (
-        dict(zip("xyz", vector.tolist(), strict=True))
-        for vector in (view.eye, view.target, view.up)
-    )
     return FirstView(
         header=Header(frame_id=frame_id, stamp=stamp),
-        eye=Point(**eye),
-        target=Point(**target),
-        up=Vector3(**up),
+        eye=to_point(view.eye),
+        target=to_point(view.target),
+        up=to_vector(view.up),
         width=view.width,
         inside=view.inside,
     )

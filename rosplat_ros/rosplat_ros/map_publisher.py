@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, Quaternion
+from geometry_msgs.msg import Pose
 from numpy.typing import ArrayLike, NDArray
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -30,7 +30,7 @@ from rosplat_msgs.srv import PullMap, RepeatMap
 from rosplat_ros.batches import array_bytes, pose_values
 from rosplat_ros.diagnostics import Report
 from rosplat_ros.messages import NONE, Slots, as_array
-from rosplat_ros.poses import to_pose
+from rosplat_ros.poses import pose_of, to_point, to_pose
 from rosplat_ros.pull_server import PullServer, ServiceThread
 from rosplat_ros.qos import PULLED_MAP, overridable
 
@@ -472,18 +472,11 @@ class _Call(threading.local):
 
 def as_message(batch: PublishedBatch, header: Header) -> GaussianArray:
     """The message of a batch, its arrays filled as blocks of memory."""
-    x, y, z = batch.origin
     return GaussianArray(
         header=header,
-        origin=Point(x=x, y=y, z=z),
+        origin=to_point(batch.origin),
         groups=list(batch.poses),
-        poses=[
-            Pose(
-                position=Point(x=p[0], y=p[1], z=p[2]),
-                orientation=Quaternion(x=p[3], y=p[4], z=p[5], w=p[6]),
-            )
-            for p in batch.poses.values()
-        ],
+        poses=[pose_of(pose[:3], pose[3:]) for pose in batch.poses.values()],
         **{name: _as_field(getattr(batch, name)) for name in batch.FIELDS},
     )
 

@@ -1,9 +1,11 @@
-"""Converts poses between messages and matrices, and checks them."""
+"""Converts poses between messages and numbers, and checks them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
-from geometry_msgs.msg import Point, Pose, Quaternion
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.quaternions import from_matrices
@@ -26,9 +28,30 @@ def to_pose(pose: Pose | ArrayLike, name: str = "pose") -> Pose:
     else:
         matrix = rigid(pose, name)
         position, orientation = matrix[:3, 3], from_matrices(matrix[:3, :3])
-    x, y, z, w = orientation.tolist()
-    px, py, pz = position.tolist()
-    return Pose(position=Point(x=px, y=py, z=pz), orientation=Quaternion(x=x, y=y, z=z, w=w))
+    return pose_of(position, orientation)
+
+
+def pose_of(position: Iterable[float], orientation: Iterable[float]) -> Pose:
+    """The message of x, y, z and of a quaternion x, y, z, w."""
+    return Pose(position=to_point(position), orientation=to_quaternion(orientation))
+
+
+def to_point(values: Iterable[float]) -> Point:
+    """The message of x, y, z."""
+    x, y, z = map(float, values)
+    return Point(x=x, y=y, z=z)
+
+
+def to_vector(values: Iterable[float]) -> Vector3:
+    """The message of x, y, z."""
+    x, y, z = map(float, values)
+    return Vector3(x=x, y=y, z=z)
+
+
+def to_quaternion(values: Iterable[float]) -> Quaternion:
+    """The message of x, y, z, w."""
+    x, y, z, w = map(float, values)
+    return Quaternion(x=x, y=y, z=z, w=w)
 
 
 def to_matrix(pose: Pose) -> NDArray[np.float64]:

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from geometry_msgs.msg import Point, Pose, Quaternion
-
 from rosplat_core.cameras import Camera
 from rosplat_core.posed_camera import CameraError, PosedCamera
 from rosplat_msgs.msg import ViewCamera
 from rosplat_ros.batches import pose_values
+from rosplat_ros.poses import pose_of
 
 
 def view_camera(camera: Camera) -> ViewCamera:
     """The message for a camera."""
     flat = ViewCamera.ORTHOGRAPHIC if camera.orthographic else ViewCamera.PERSPECTIVE
-    position = dict(zip("xyz", camera.position.tolist(), strict=True))
-    orientation = dict(zip("xyzw", camera.orientation.tolist(), strict=True))
     return ViewCamera(
-        pose=Pose(position=Point(**position), orientation=Quaternion(**orientation)),
+        pose=pose_of(camera.position, camera.orientation),
         projection=ViewCamera.EQUIRECTANGULAR if camera.model else flat,
         fx=float(camera.fx),
         fy=float(camera.fy),

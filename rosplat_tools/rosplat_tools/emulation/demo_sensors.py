@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from rclpy.client import Client
@@ -28,13 +28,14 @@ from rosplat_core.maps import GaussianMap
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import RenderView
 from rosplat_ros.images import to_bytes, to_image
+from rosplat_ros.poses import pose_of, to_quaternion, to_vector
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import run_node
 from rosplat_ros.qos import overridable
 from rosplat_ros.view_cameras import view_camera
 from rosplat_tools.cameras.calibrations import of_lens
 from rosplat_tools.cameras.pose_history import SECOND
-from rosplat_tools.emulation.flight import CAMERA_OFFSET, Attitude, Flight, Motion
+from rosplat_tools.emulation.flight import CAMERA_OFFSET, Flight, Motion
 from rosplat_tools.frames import TF, TFMessage, transform
 from rosplat_tools.map_subscriber import MapSubscriber
 
@@ -145,7 +146,7 @@ class DemoSensors(Node):
         )
         if self._tf_static:
             header = Header(stamp=self.get_clock().now().to_msg(), frame_id=BODY)
-            mount = _pose(np.array([CAMERA_OFFSET, 0, 0]), flight.mount)
+            mount = pose_of((CAMERA_OFFSET, 0, 0), flight.mount.quaternion)
             self._tf_static.publish(TFMessage(transforms=[transform(header, CAMERA, mount)]))
 
     # --- What is measured -------------------------------------------------------------------------
@@ -161,7 +162,7 @@ class DemoSensors(Node):
             # Before the measurements, for the newest: displays look the pose up for each of them.
             stamp, motion = motions[-1]
             header = Header(stamp=_time(stamp), frame_id=self._frame_id)
-            pose = _pose(motion.position, motion.attitude)
+            pose = pose_of(motion.position, motion.attitude.quaternion)
             self._tf.publish(TFMessage(transforms=[transform(header, BODY, pose)]))
         for stamp, motion in motions:
             self._imu.publish(self._measure(stamp, motion))
@@ -179,11 +180,11 @@ class DemoSensors(Node):
         angular_velocity = motion.angular_velocity + self._angular_velocity_noise * noise[1]
         return Imu(
             header=Header(stamp=_time(stamp), frame_id=BODY),
-            orientation=_quaternion(motion.attitude),
+            orientation=to_quaternion(motion.attitude.quaternion),
             orientation_covariance=_covariance(0.0),
-            angular_velocity=_vector(angular_velocity),
+            angular_velocity=to_vector(angular_velocity),
             angular_velocity_covariance=_covariance(self._angular_velocity_noise),
-            linear_acceleration=_vector(force),
+            linear_acceleration=to_vector(force),
             linear_acceleration_covariance=_covariance(self._acceleration_noise),
         )
 
@@ -265,21 +266,6 @@ def _camera_info(camera: Camera, header: Header) -> CameraInfo:
     info = of_lens(Lens(camera.width, camera.height, camera.fx, camera.fy, *centre))
     info.header = header
     return info
-
-
-def _pose(position: NDArray[np.float64], attitude: Attitude) -> Pose:
-    x, y, z = position.tolist()
-    return Pose(position=Point(x=x, y=y, z=z), orientation=_quaternion(attitude))
-
-
-def _quaternion(attitude: Attitude) -> Quaternion:
-    x, y, z, w = attitude.quaternion
-    return Quaternion(x=x, y=y, z=z, w=w)
-
-
-def _vector(values: NDArray[np.float64]) -> Vector3:
-    x, y, z = values.tolist()
-    return Vector3(x=x, y=y, z=z)
 
 
 def _covariance(deviation: float) -> NDArray[np.float64]:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point, Vector3
 from numpy.typing import NDArray
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from rosplat_core.rigid import placed
-from rosplat_ros.poses import to_pose
+from rosplat_ros.poses import to_point, to_pose, to_vector
 from rosplat_tools.simulation.physics import load_mujoco
 from rosplat_tools.simulation.robot_model import RobotModel
 
@@ -68,8 +67,7 @@ def _in_body(robot: RobotModel, body: int, geometry: int) -> Array:
 
 
 def _shape(kind: int, size: Array, pose: Array) -> Marker:
-    x, y, z = size.tolist()
-    return Marker(type=kind, pose=to_pose(pose), scale=Vector3(x=x, y=y, z=z))
+    return Marker(type=kind, pose=to_pose(pose), scale=to_vector(size))
 
 
 def _mesh(model: Any, mesh: int, pose: Array) -> Marker:
@@ -77,5 +75,5 @@ def _mesh(model: Any, mesh: int, pose: Array) -> Marker:
     corners = model.mesh_vert[int(model.mesh_vertadr[mesh]) :]
     marker = _shape(Marker.TRIANGLE_LIST, np.ones(3), pose)
     faces = model.mesh_face[first : first + count].ravel()
-    marker.points = [Point(x=x, y=y, z=z) for x, y, z in corners[faces].tolist()]
+    marker.points = [to_point(corner) for corner in corners[faces]]
     return marker

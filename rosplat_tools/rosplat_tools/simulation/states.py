@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Quaternion, TransformStamped, Twist, Vector3
+from geometry_msgs.msg import TransformStamped, Twist
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from rclpy.node import Node
@@ -13,7 +13,7 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 
 from rosplat_core.rigid import placed
-from rosplat_ros.poses import to_pose
+from rosplat_ros.poses import to_pose, to_quaternion, to_vector
 from rosplat_ros.qos import FIRST_VIEW, overridable
 from rosplat_tools.frames import TF, TFMessage, transform
 from rosplat_tools.simulation.body_pictures import OPTICAL
@@ -151,22 +151,16 @@ class States:
         message.child_frame_id = self.frame_of(base)
         message.pose.pose = to_pose(robot.pose(base))
         velocity = robot.velocity(base)
-        message.twist.twist = Twist(linear=_vector(velocity[:3]), angular=_vector(velocity[3:]))
+        message.twist.twist = Twist(linear=to_vector(velocity[:3]), angular=to_vector(velocity[3:]))
         return message
 
     def _imu_message(self, robot: RobotModel, stamp: Time) -> Imu | None:
         orientation, turn, acceleration = (robot.sensor(name) for name in IMU)
         if orientation is None or turn is None or acceleration is None:
             return None
-        w, x, y, z = orientation.tolist()
         return Imu(
             header=Header(stamp=stamp, frame_id="imu"),
-            orientation=Quaternion(x=x, y=y, z=z, w=w),
-            angular_velocity=_vector(turn),
-            linear_acceleration=_vector(acceleration),
+            orientation=to_quaternion(np.roll(orientation, -1)),
+            angular_velocity=to_vector(turn),
+            linear_acceleration=to_vector(acceleration),
         )
-
-
-def _vector(values: Array) -> Vector3:
-    x, y, z = values.tolist()
-    return Vector3(x=x, y=y, z=z)
