@@ -15,6 +15,7 @@ import yaml
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo
 
+from rosplat_core.cameras import Camera
 from rosplat_core.lenses import F_THETA, PLUMB_BOB, Lens, LensError
 from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError
@@ -42,6 +43,12 @@ def of_lens(lens: Lens) -> CameraInfo:
         r=np.eye(3).ravel(),
         p=[*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0],
     )
+
+
+def of_pinhole(camera: Camera) -> CameraInfo:
+    """The message for a camera without distortion, for which the first pixel's centre is (0, 0)."""
+    centre = camera.cx - 0.5, camera.cy - 0.5
+    return of_lens(Lens(camera.width, camera.height, camera.fx, camera.fy, *centre))
 
 
 def lens_of(info: CameraInfo) -> Lens:

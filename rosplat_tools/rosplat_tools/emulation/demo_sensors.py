@@ -23,7 +23,6 @@ from sensor_msgs.msg import CameraInfo, Image, Imu
 from std_msgs.msg import Header
 
 from rosplat_core.cameras import Camera
-from rosplat_core.lenses import Lens
 from rosplat_core.maps import GaussianMap
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import RenderView
@@ -33,7 +32,7 @@ from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import run_node
 from rosplat_ros.qos import overridable
 from rosplat_ros.view_cameras import view_camera
-from rosplat_tools.cameras.calibrations import of_lens
+from rosplat_tools.cameras.calibrations import of_pinhole
 from rosplat_tools.cameras.pose_history import SECOND
 from rosplat_tools.emulation.flight import CAMERA_OFFSET, Flight, Motion
 from rosplat_tools.frames import TF, TFMessage, transform
@@ -226,7 +225,9 @@ class DemoSensors(Node):
         image = to_image(pixels, "rgb8")
         image.header = header
         self._image.publish(image)
-        self._info.publish(_camera_info(camera, header))
+        info = of_pinhole(camera)
+        info.header = header
+        self._info.publish(info)
 
     def _publish_pose(self, pose: PoseStamped) -> None:
         self._pose.publish(pose)
@@ -258,14 +259,6 @@ def _pixels(response: RenderView.Response, camera: Camera) -> NDArray[np.uint8]:
         raise ValueError(f"{values.size} bytes of {color.encoding}")
     rgba = values.view(np.float32).reshape(camera.height, camera.width, 4)
     return to_bytes(rgba[..., :3] + (1 - rgba[..., 3:]) * BACKGROUND)
-
-
-def _camera_info(camera: Camera, header: Header) -> CameraInfo:
-    # For ROS the centre of the top left pixel is (0, 0).
-    centre = camera.cx - 0.5, camera.cy - 0.5
-    info = of_lens(Lens(camera.width, camera.height, camera.fx, camera.fy, *centre))
-    info.header = header
-    return info
 
 
 def _covariance(deviation: float) -> NDArray[np.float64]:

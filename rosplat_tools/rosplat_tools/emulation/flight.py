@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
+from rosplat_core.quaternions import to_matrices
+from rosplat_core.rigid import placed
 
 Array = NDArray[np.float64]
 
@@ -40,14 +42,7 @@ class Attitude:
     @property
     def rotation(self) -> Array:
         """(3, 3) from the rotated frame to the one it is rotated in."""
-        (sr, cr), (sp, cp), (sy, cy) = map(_sin_cos, (self.roll, self.pitch, self.yaw))
-        return np.array(
-            [
-                [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-                [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-                [-sp, cp * sr, cp * cr],
-            ]
-        )
+        return to_matrices(self.quaternion)
 
     @property
     def quaternion(self) -> tuple[float, float, float, float]:
@@ -127,9 +122,8 @@ class Flight:
     def camera(self, motion: Motion, width: int, height: int) -> Camera:
         """The camera aboard, for a picture of width x height. [px]"""
         body = motion.attitude.rotation
-        to_camera = np.eye(4)
-        to_camera[:3, :3] = (body @ self.mount.rotation).T
-        to_camera[:3, 3] = -to_camera[:3, :3] @ (motion.position + CAMERA_OFFSET * body[:, 0])
+        eye = placed(motion.position + CAMERA_OFFSET * body[:, 0], body @ self.mount.rotation)
+        to_camera = np.asarray(np.linalg.inv(eye), np.float64)
         focal = height / 2 / math.tan(FIELD_OF_VIEW / 2)
         return Camera(0, width, height, focal, focal, width / 2, height / 2, to_camera)
 

@@ -11,12 +11,11 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, LaserScan, PointCloud2
 from std_msgs.msg import Header
 
-from rosplat_core.lenses import Lens
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.rigid import placed
 from rosplat_ros.images import to_image
 from rosplat_ros.qos import overridable
-from rosplat_tools.cameras.calibrations import of_lens
+from rosplat_tools.cameras.calibrations import of_pinhole
 from rosplat_tools.lidars.lidar_messages import points_message, scan_message
 from rosplat_tools.lidars.scanning import Lidar, Scan
 from rosplat_tools.simulation.robot_model import RobotModel
@@ -55,9 +54,7 @@ class CameraTopics:
         header = Header(stamp=stamp, frame_id=f"{self._name}_optical")
         camera = eye.camera(self._name)
         if not camera.orthographic:  # CameraInfo has no word for it
-            # For ROS the centre of the top left pixel is (0, 0).
-            centre = camera.cx - 0.5, camera.cy - 0.5
-            info = of_lens(Lens(camera.width, camera.height, camera.fx, camera.fy, *centre))
+            info = of_pinhole(camera)
             info.header = header
             for publisher in self._infos:
                 publisher.publish(info)
