@@ -31,7 +31,7 @@ from rosplat_ros.program.running import run_node
 from rosplat_ros.qos import overridable
 from rosplat_tools.cameras import calibrations
 from rosplat_tools.cameras.drawn_map import DrawnMap
-from rosplat_tools.cameras.health import Health, NoPicture
+from rosplat_tools.cameras.health import Health, NoPicture, drawn
 from rosplat_tools.cameras.pose_history import SECOND, Pose, PoseError
 from rosplat_tools.cameras.poses import Poses, declare_poses
 from rosplat_tools.frames import LATEST
@@ -233,13 +233,12 @@ class _Camera:
             return np.linalg.inv(pose).astype(np.float64)
 
         try:
-            if self._shutter:
-                return self._shutter.take(self._map.renderer, moved, **wanted)
-            return take_picture(self._map.renderer, warp, world_to_lens, **wanted)
+            with drawn():
+                if self._shutter:
+                    return self._shutter.take(self._map.renderer, moved, **wanted)
+                return take_picture(self._map.renderer, warp, world_to_lens, **wanted)
         except PoseError as error:
             raise NoPicture("without a pose", error) from error
-        except (ValueError, RuntimeError, MemoryError) as error:
-            raise NoPicture("not drawn", shown(error, 300) or "out of memory") from error
 
     def _publish(self, picture: LensPicture | None, header: Header) -> None:
         assert self._warped

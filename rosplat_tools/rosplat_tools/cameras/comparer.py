@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from rosplat_core.lens_pictures import take_picture
 from rosplat_core.lenses import Warp
-from rosplat_core.log_text import shown
 from rosplat_core.rendering import CpuRenderer
 from rosplat_msgs.msg import Comparison
 from rosplat_ros.images import to_bytes
 from rosplat_tools.cameras import comparison
-from rosplat_tools.cameras.health import NoPicture
+from rosplat_tools.cameras.health import NoPicture, drawn
 from rosplat_tools.cameras.taken_pictures import Taken
 
 
@@ -45,10 +44,8 @@ def compare(
     if not mask.any():
         raise NoPicture("masked", "the mask leaves no pixel")
     world_to_lens = taken.world_to_lens
-    try:
+    with drawn():
         colour = take_picture(renderer, warp, world_to_lens, near=near, far=far).colour
-    except (ValueError, RuntimeError, MemoryError) as error:
-        raise NoPicture("not drawn", shown(error, 300) or "out of memory") from error
     rendered = to_bytes(colour)  # in 8 bits, as the camera's
     figures, errors = _measured(rendered, taken.colours, mask)
     figures.header = taken.header

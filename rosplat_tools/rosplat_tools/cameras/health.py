@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 
+from rosplat_core.log_text import shown
 from rosplat_ros.diagnostics import Report
 from rosplat_ros.program.said_once import SaidOnce
 
@@ -15,6 +17,15 @@ class NoPicture(Exception):
     def __init__(self, kind: str, text: object) -> None:
         super().__init__(str(text))
         self.kind = kind
+
+
+@contextmanager
+def drawn(kind: str = "not drawn") -> Iterator[None]:
+    """Within, what can't be drawn raises NoPicture of this kind."""
+    try:
+        yield
+    except (ValueError, RuntimeError, MemoryError) as error:
+        raise NoPicture(kind, shown(error, 300) or "out of memory") from error
 
 
 class Health:

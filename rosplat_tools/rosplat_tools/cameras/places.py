@@ -12,8 +12,8 @@ from rosplat_core.lenses import Straightened
 from rosplat_core.relocalisation import Relocaliser
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.splats import InputError
-from rosplat_tools.cameras.health import NoPicture
-from rosplat_tools.cameras.refining import Refined, drawn
+from rosplat_tools.cameras.health import NoPicture, drawn
+from rosplat_tools.cameras.refining import Refined
 from rosplat_tools.cameras.taken_pictures import Taken
 
 MOST_PLACES = 200  # of a file, evenly spread

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,11 +12,10 @@ from numpy.typing import NDArray
 
 from rosplat_core.alignment import Alignment, align
 from rosplat_core.lenses import Straightened
-from rosplat_core.log_text import shown
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.rendering import CpuRenderer
 from rosplat_ros.poses import to_pose
-from rosplat_tools.cameras.health import NoPicture
+from rosplat_tools.cameras.health import drawn
 from rosplat_tools.cameras.pose_history import Pose
 from rosplat_tools.cameras.taken_pictures import Taken
 
@@ -75,15 +72,6 @@ def refined(
     with drawn():
         found = align(renderer, colours, camera, counts, patience=patience)
     return Refined.of(found, taken)
-
-
-@contextmanager
-def drawn() -> Iterator[None]:
-    """Within, what can't be drawn raises NoPicture."""
-    try:
-        yield
-    except (ValueError, RuntimeError, MemoryError) as error:
-        raise NoPicture("not drawn", shown(error, 300) or "out of memory") from error
 
 
 def _message(pose: Pose, covariance: NDArray[np.float64]) -> PoseWithCovariance:

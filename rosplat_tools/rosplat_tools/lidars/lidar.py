@@ -15,13 +15,12 @@ from rclpy.time import Time
 from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 
-from rosplat_core.log_text import shown
 from rosplat_ros.diagnostics import Diagnostics
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import run_node
 from rosplat_ros.qos import overridable
 from rosplat_tools.cameras.drawn_map import DrawnMap
-from rosplat_tools.cameras.health import Health, NoPicture
+from rosplat_tools.cameras.health import Health, NoPicture, drawn
 from rosplat_tools.cameras.pose_history import SECOND, PoseError
 from rosplat_tools.cameras.poses import declare_poses
 from rosplat_tools.frames import LATEST
@@ -78,10 +77,8 @@ class LidarNode(Node):
         listened = [p.get_subscription_count() > 0 for p in (self._points, self._scan)]
         if not any(listened):
             return
-        try:
+        with drawn("not measured"):
             scan = self._lidar.scan(self._map.renderer, np.linalg.inv(pose).astype(np.float64))
-        except (ValueError, RuntimeError, MemoryError) as error:
-            raise NoPicture("not measured", shown(error, 300) or "out of memory") from error
         self._publish(scan, Header(stamp=Time(nanoseconds=stamp).to_msg(), frame_id=self._frame_id))
         latency = (self.get_clock().now().nanoseconds - stamp) / SECOND
         self._health.well(latency, time.perf_counter() - began)
