@@ -17,6 +17,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.cameras import EQUIRECTANGULAR, PINHOLE, Camera
@@ -224,17 +225,16 @@ class Lens:
         if not self.is_fisheye:
             return radius * self._radial(square)[0]
         if self.model == EQUIDISTANT:
-            return radius * _polynomial(square, (1, *self.coefficients))
+            return radius * polyval(square, (1, *self.coefficients))
         if self.model == DOUBLE_SPHERE:
             xi, alpha = self.coefficients
             beside, ahead = np.sin(radius), xi + np.cos(radius)
             return beside / (alpha * np.hypot(beside, ahead) + (1 - alpha) * ahead)
-        near = _polynomial(radius, self.coefficients[:6])
-        if not any(exact := self.coefficients[7:]):
-            return near
-        for _ in range(NEWTON_STEPS):
-            near = near - (_polynomial(near, exact) - radius) / _polynomial(near, _derived(exact))
-        return near
+        near = polyval(radius, self.coefficients[:6])
+        exact = self.coefficients[7:]
+        for _ in range(NEWTON_STEPS if any(exact) else 0):
+            near = near - (polyval(near, exact) - radius) / polyval(near, polyder(exact))
+        return np.asarray(near, np.float64)
 
     @cached_property
     def _reach(self) -> tuple[Array, Array]:
@@ -257,8 +257,8 @@ class Lens:
         """The radial factor at squared radii, and its derivative by the squared radius."""
         k1, k2, _, _, k3, *below = self.coefficients[:8] or (0.0,) * 5
         above, denominator = (1, k1, k2, k3), (1, *below)
-        a, b = _polynomial(square, above), _polynomial(square, denominator)
-        da, db = _polynomial(square, _derived(above)), _polynomial(square, _derived(denominator))
+        a, b = polyval(square, above), polyval(square, denominator)
+        da, db = polyval(square, polyder(above)), polyval(square, polyder(denominator))
         return a / b, (da * b - a * db) / (b * b)
 
     @property
@@ -322,17 +322,6 @@ def _mapped(homography: Array, points: Array) -> Array:
     """Points (..., 2) of the plane z = 1, moved by a matrix (3, 3)."""
     moved = points @ homography[:, :2].T + homography[:, 2]
     return moved[..., :2] / moved[..., 2:]
-
-
-def _polynomial(x: Array, coefficients: Sequence[float]) -> Array:
-    value = np.zeros_like(x)
-    for coefficient in reversed(coefficients):
-        value = value * x + coefficient
-    return value
-
-
-def _derived(coefficients: Sequence[float]) -> list[float]:
-    return [i * c for i, c in enumerate(coefficients)][1:]
 
 
 # --- Pictures to the lens's -----------------------------------------------------------------------
