@@ -83,13 +83,7 @@ class Columns(NamedTuple):
 
     def part(self, which: slice | NDArray[np.bool_]) -> Columns:
         """Some of the splats; with a slice, views: a write to them is a write here."""
-        return Columns(
-            self.positions[which],
-            self.orientations[which],
-            self.scales[which],
-            self.opacities[which],
-            self.sh[which],
-        )
+        return Columns._make(column[which] for column in self)
 
 
 Made = TypeVar("Made", Splats, PackedSplats)

@@ -23,7 +23,6 @@ import json
 import struct
 import urllib.parse
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -173,13 +172,8 @@ def _written(splats: Splats) -> list[_Column]:
         _Column(f"{EXTENSION}:OPACITY", FLOAT, "SCALAR", lambda part: splats.opacities[part]),
     ]
     for k, name in enumerate(_coefficients(splats.sh_degree)):
-        columns.append(_Column(name, FLOAT, "VEC3", partial(_coefficient, splats, k)))
+        columns.append(_Column(name, FLOAT, "VEC3", splats.sh[:, k].__getitem__))
     return columns
-
-
-def _coefficient(splats: Splats, k: int, part: slice) -> NDArray[Any]:
-    """(n, 3) the k-th coefficients of the splats in a slice."""
-    return splats.sh[part, k]
 
 
 def _coefficients(degree: int) -> list[str]:
@@ -279,10 +273,6 @@ class _Primitive(NamedTuple):
     def __len__(self) -> int:
         return self.attributes["POSITION"].shape[0]
 
-    def numbers(self, name: str, part: slice) -> NDArray[np.float32]:
-        """(n, width) numbers of an attribute, of the splats in a slice."""
-        return self.attributes[name].numbers(part)
-
 
 def _splats(
     asset: _Asset,
@@ -300,15 +290,16 @@ def _splats(
     counts = [len(primitive) for primitive in primitives]
     for source, part, columns in into.blocks_of(counts, sh_coefficients(degree), progress):
         primitive = primitives[source]
-        columns.positions[:] = primitive.numbers("POSITION", part)
-        columns.orientations[:] = primitive.numbers(f"{EXTENSION}:ROTATION", part)
-        scales = primitive.numbers(f"{EXTENSION}:SCALE", part)
+        stored = primitive.attributes
+        columns.positions[:] = stored["POSITION"].numbers(part)
+        columns.orientations[:] = stored[f"{EXTENSION}:ROTATION"].numbers(part)
+        scales = stored[f"{EXTENSION}:SCALE"].numbers(part)
         columns.scales[:] = np.exp(scales) if primitive.log_scales else np.abs(scales)
-        opacities = primitive.numbers(f"{EXTENSION}:OPACITY", part)[:, 0]
+        opacities = stored[f"{EXTENSION}:OPACITY"].numbers(part)[:, 0]
         columns.opacities[:] = sigmoid(opacities) if primitive.logits else np.clip(opacities, 0, 1)
         columns.sh[:] = 0  # where a primitive has fewer bands
         for k, name in enumerate(_coefficients(primitive.degree)):
-            columns.sh[:, k] = primitive.numbers(name, part)
+            columns.sh[:, k] = stored[name].numbers(part)
         place(columns, primitive.pose)
     return into.made(asset.path, warn, model)
 
