@@ -6,53 +6,41 @@ import argparse
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from rosplat_core.program.whole_numbers import whole_number
+
+Number = TypeVar("Number", int, float)
 
 
 def whole(least: int) -> Callable[[str], int]:
     """A type for argparse: whole numbers from least on."""
-
-    def parse(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = least - 1
-        if value < least:
-            raise argparse.ArgumentTypeError(f"'{text}' is no whole number, {least} or more")
-        return value
-
-    return parse
+    return _checked(int, lambda value: value >= least, f"whole number, {least} or more")
 
 
 def number(what: str) -> Callable[[str], float]:
     """A type for argparse: finite numbers that are not negative. what: their name in errors."""
-
-    def parse(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not 0 <= value < math.inf:
-            raise argparse.ArgumentTypeError(f"'{text}' is no {what}, 0 or more")
-        return value
-
-    return parse
+    return _checked(float, lambda value: 0 <= value < math.inf, f"{what}, 0 or more")
 
 
 def sized(what: str) -> Callable[[str], int]:
     """A type for argparse: whole numbers above 0, as 500k, 5M or 20G too. what: their name."""
+    return _checked(whole_number, lambda value: value >= 1, f"{what}, such as 500k or 5M")
 
-    def parse(text: str) -> int:
+
+def _checked(
+    parse: Callable[[str], Number], fits: Callable[[Number], bool], expected: str
+) -> Callable[[str], Number]:
+    def parsed(text: str) -> Number:
         try:
-            value = whole_number(text)
+            value = parse(text)
+            if fits(value):
+                return value
         except ValueError:
-            value = 0
-        if value < 1:
-            raise argparse.ArgumentTypeError(f"'{text}' is no {what}, such as 500k or 5M")
-        return value
+            pass
+        raise argparse.ArgumentTypeError(f"'{text}' is no {expected}")
 
-    return parse
+    return parsed
 
 
 def make_folder(folder: Path) -> None:
