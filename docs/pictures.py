@@ -16,7 +16,6 @@ from ament_index_python.packages import get_package_share_directory
 from geometry_msgs.msg import TransformStamped, Twist
 from PIL import Image, ImageGrab
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
@@ -24,13 +23,13 @@ from visualization_msgs.msg import Marker, MarkerArray
 from rosplat_core import find_up, load, save
 from rosplat_lab.driven_rviz import DrivenRviz
 from rosplat_ros.program.processes import Processes, quoted
+from rosplat_ros.qos import LATCHED
 from rosplat_tools import SplatCamera
 from rosplat_tools.simulation.robot_model import put_in_map
 from rviz_gaussian_plugin.offscreen import ensure_display
 
 DOCS = Path(__file__).parent
 SIZE = (1400, 900)
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 OCCLUSION_CONFIG = """\
 Panels:

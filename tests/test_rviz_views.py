@@ -150,10 +150,10 @@ def test_an_offered_view_is_shown_whole_in_a_narrower_window(rviz: Rviz, world: 
 
     from rosplat_core.splats import concatenate
     from rosplat_msgs.msg import FirstView
-    from rosplat_ros.qos import FIRST_VIEW
+    from rosplat_ros.qos import LATCHED
 
     world.place()
-    offers = world.node.create_publisher(FirstView, "gaussians/first_view", FIRST_VIEW)
+    offers = world.node.create_publisher(FirstView, "gaussians/first_view", LATCHED)
     offer = FirstView(header=Header(frame_id=world.frame), eye=Point(y=-3.0, z=8.0), width=2.0)
     offer.up = Vector3(z=1.0)
     offers.publish(offer)
@@ -171,10 +171,10 @@ def test_a_view_from_inside_is_one_that_turns_on_the_spot(rviz: Rviz, world: Wor
     from std_msgs.msg import Header
 
     from rosplat_msgs.msg import FirstView
-    from rosplat_ros.qos import FIRST_VIEW
+    from rosplat_ros.qos import LATCHED
 
     world.place()
-    offers = world.node.create_publisher(FirstView, "gaussians/first_view", FIRST_VIEW)
+    offers = world.node.create_publisher(FirstView, "gaussians/first_view", LATCHED)
     eye = Point(x=-3.0, y=0.5, z=4.5)
     offer = FirstView(header=Header(frame_id=world.frame), eye=eye, inside=True)
     offer.target, offer.up = Point(x=5.0, y=0.5, z=1.5), Vector3(z=1.0)

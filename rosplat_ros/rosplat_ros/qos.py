@@ -1,4 +1,7 @@
-"""QoS profiles. BEST_EFFORT loses a map's large messages on the default transport."""
+"""QoS profiles, reliable and volatile where they don't say otherwise, as QoSProfile has it.
+
+BEST_EFFORT loses a map's large messages on the default transport.
+"""
 
 from __future__ import annotations
 
@@ -6,50 +9,28 @@ from copy import copy
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
-
-
-def _map_qos(
-    depth: int, durability: DurabilityPolicy = DurabilityPolicy.TRANSIENT_LOCAL
-) -> QoSProfile:
-    return QoSProfile(
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=durability,
-        history=HistoryPolicy.KEEP_LAST,
-        depth=depth,
-    )
-
 
 # For a subscription to `gaussians`: a publisher without pulls may keep many batches. MapReceiver
 # asks for less where publishers offer less, or serve pulls.
-MAP = _map_qos(1000)
+MAP = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 # The same for publishers that are volatile.
-MAP_VOLATILE = _map_qos(1000, DurabilityPolicy.VOLATILE)
+MAP_VOLATILE = QoSProfile(depth=1000)
 
 # For a publisher that answers pulls: a late joiner learns of the map by the last batch. The other
 # batches are for readers that lag behind.
-PULLED_MAP = _map_qos(8)
-
-
-def _view_qos(depth: int) -> QoSProfile:
-    return QoSProfile(
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.VOLATILE,
-        history=HistoryPolicy.KEEP_LAST,
-        depth=depth,
-    )
-
+PULLED_MAP = QoSProfile(depth=8, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 # Cameras and orders: the newest of each view counts, and all views share the topics. An order may
 # take megabytes, and once a reader has been slow, Fast DDS keeps room for `depth` orders. A small
 # depth does: a view that misses its order asks again.
-VIEW = _view_qos(32)
-ORDER = _view_qos(8)
+VIEW = QoSProfile(depth=32)
+ORDER = QoSProfile(depth=8)
 
-# The view that a map's publisher offers: the newest, for whoever comes.
-FIRST_VIEW = _map_qos(1)
+# What is published once, a first view say: the newest, for whoever comes.
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def overridable(profile: QoSProfile, adapted: QoSProfile | None = None) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from rosplat_msgs.msg import FirstView
 from rosplat_ros.first_views import first_view_message
 from rosplat_ros.poses import to_pose
 from rosplat_ros.program.parameters import declare
-from rosplat_ros.qos import FIRST_VIEW, overridable
+from rosplat_ros.qos import LATCHED, overridable
 from rosplat_tools.frames import TFMessage, transform
 
 Found = tuple[View, NDArray[np.float64]]
@@ -43,10 +43,10 @@ class FirstViews:
             raise InputError("parameter upright_frame: tf2_msgs is not installed")
         topic = node.resolve_topic_name("gaussians")  # remapping it remaps the view
         self._views = node.create_publisher(
-            FirstView, f"{topic}/first_view", **overridable(FIRST_VIEW)
+            FirstView, f"{topic}/first_view", **overridable(LATCHED)
         )
         if self._upright_frame:
-            self._transforms = node.create_publisher(TFMessage, "/tf_static", FIRST_VIEW)
+            self._transforms = node.create_publisher(TFMessage, "/tf_static", LATCHED)
             self._stand(np.eye(4))
 
     def find(self, scene: str, splats: Splats | PackedSplats) -> Found | None:

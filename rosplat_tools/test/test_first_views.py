@@ -17,7 +17,7 @@ from rosplat_core.first_look import first_view
 from rosplat_core.generated import generate
 from rosplat_msgs.msg import FirstView
 from rosplat_ros.first_views import first_view_message, read_first_view
-from rosplat_ros.qos import FIRST_VIEW
+from rosplat_ros.qos import LATCHED
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -46,7 +46,7 @@ def test_a_view_is_offered_with_the_map(
     node: Node, start: Start, listener: Any, scene: Path
 ) -> None:
     views: list[FirstView] = []
-    node.create_subscription(FirstView, "gaussians/first_view", views.append, FIRST_VIEW)
+    node.create_subscription(FirstView, "gaussians/first_view", views.append, LATCHED)
     start("ply_publisher", path=scene, frame_id="scene")
     listener.wait_for(5000)
     listener.wait(lambda: views)
@@ -60,7 +60,7 @@ def test_a_scene_is_stood_upright_by_a_transform(
 ) -> None:
     tf2_msgs = pytest.importorskip("tf2_msgs.msg", reason="no tf2_msgs here")
     stands: list[Any] = []
-    node.create_subscription(tf2_msgs.TFMessage, "/tf_static", stands.append, FIRST_VIEW)
+    node.create_subscription(tf2_msgs.TFMessage, "/tf_static", stands.append, LATCHED)
     frame = node.get_namespace().strip("/")
     start("ply_publisher", path=scene, frame_id=frame, upright_frame="map")
     listener.wait(lambda: any(heard.transforms[0].child_frame_id == frame for heard in stands))

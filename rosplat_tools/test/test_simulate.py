@@ -25,7 +25,7 @@ from rosplat_core.generated import generate
 from rosplat_msgs.msg import GaussianArray
 from rosplat_ros.images import from_image
 from rosplat_ros.map_publisher import MapPublisher
-from rosplat_ros.qos import FIRST_VIEW
+from rosplat_ros.qos import LATCHED
 from rosplat_testing import Listener
 from rosplat_testing.studio import Log
 from rosplat_tools.simulation.robot_model import RobotModel, robot_file
@@ -305,7 +305,7 @@ def test_markers_come_again_for_who_is_new_and_after_a_reset(
     robot = RobotModel(robot_file("mobile", ROBOTS), floor, np.eye(4))
     states, heard = States(node, "odom"), list[Any]()
     states.stand(robot, "map", np.eye(4))
-    node.create_subscription(messages.MarkerArray, "robot_markers", heard.append, FIRST_VIEW)
+    node.create_subscription(messages.MarkerArray, "robot_markers", heard.append, LATCHED)
 
     def published(count: int) -> bool:
         for _ in range(AGAIN[0]):

@@ -17,7 +17,7 @@ from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from rclpy.client import Client
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from sensor_msgs.msg import CameraInfo, Image, Imu
 from std_msgs.msg import Header
@@ -30,7 +30,7 @@ from rosplat_ros.images import to_bytes, to_image
 from rosplat_ros.poses import pose_of, to_quaternion, to_vector
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import run_node
-from rosplat_ros.qos import overridable
+from rosplat_ros.qos import LATCHED, overridable
 from rosplat_ros.view_cameras import view_camera
 from rosplat_tools.cameras.calibrations import of_pinhole
 from rosplat_tools.cameras.pose_history import SECOND
@@ -40,8 +40,6 @@ from rosplat_tools.map_subscriber import MapSubscriber
 
 # Reliable: such a publisher serves best-effort subscribers, too. Deep: late ticks send bursts.
 SENSOR = QoSProfile(depth=100)
-# As tf2_ros has it.
-TF_STATIC = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 BODY = "demo_robot"
 CAMERA = "demo_camera_optical"
@@ -109,9 +107,7 @@ class DemoSensors(Node):
         self._tf = self._tf_static = None
         if TFMessage:
             self._tf = self.create_publisher(TFMessage, "/tf", **overridable(TF))
-            self._tf_static = self.create_publisher(
-                TFMessage, "/tf_static", **overridable(TF_STATIC)
-            )
+            self._tf_static = self.create_publisher(TFMessage, "/tf_static", **overridable(LATCHED))
         else:
             self.get_logger().info("no tf2_msgs here: TF is left out")
 

@@ -20,7 +20,6 @@ from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
@@ -47,7 +46,7 @@ from rosplat_ros.program.files_below import check_below
 from rosplat_ros.program.parameters import declare, declare_path
 from rosplat_ros.program.running import run_node
 from rosplat_ros.program.said_once import SaidOnce
-from rosplat_ros.qos import overridable
+from rosplat_ros.qos import LATCHED, overridable
 from rosplat_tools.frames import FrameError, Frames
 from rosplat_tools.map_subscriber import MapSubscriber
 from rosplat_tools.obstacles.obstacle_messages import (
@@ -57,13 +56,6 @@ from rosplat_tools.obstacles.obstacle_messages import (
     voxels_message,
 )
 
-# As of map_server's grid.
-LATCHED = QoSProfile(
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-)
 POLL = 0.2  # longest time between two looks at ROS and at TF [s]
 STILL = 1e-3  # how far a frame may turn before the voxels are built anew [rad]
 MOST_POINTS = 1 << 20  # that are measured at once

@@ -34,7 +34,7 @@ from rosplat_ros.map_publisher import MapPublisher
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import run_node
 from rosplat_ros.program.said_once import SaidOnce
-from rosplat_ros.qos import FIRST_VIEW, overridable
+from rosplat_ros.qos import LATCHED, overridable
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.lidars.lidar_messages import declare_lidar
 from rosplat_tools.simulation.physics import compiled, read_spec
@@ -120,7 +120,7 @@ class Simulate(Node):
         self._time = self.create_publisher(Clock, "/clock", **overridable(QoSProfile(depth=10)))
         self.create_subscription(
             FirstView, f"{self._map.topic}/first_view", self._on_first_view,
-            **overridable(FIRST_VIEW),
+            **overridable(LATCHED),
         )  # fmt: skip
         self.create_subscription(Twist, "cmd_vel", self._on_velocity, **overridable(COMMANDS))
         self.create_service(Trigger, "~/reset", self._on_reset)

@@ -14,7 +14,7 @@ from std_msgs.msg import Header
 
 from rosplat_core.rigid import placed
 from rosplat_ros.poses import to_pose, to_quaternion, to_vector
-from rosplat_ros.qos import FIRST_VIEW, overridable
+from rosplat_ros.qos import LATCHED, overridable
 from rosplat_tools.frames import TF, TFMessage, transform
 from rosplat_tools.simulation.body_pictures import OPTICAL
 from rosplat_tools.simulation.robot_model import RobotModel
@@ -48,13 +48,11 @@ class States:
         self._since = 0  # states since there was a new one, or time began anew
         if TFMessage and MarkerArray:
             self._shapes = node.create_publisher(
-                MarkerArray, "robot_markers", **overridable(FIRST_VIEW)
+                MarkerArray, "robot_markers", **overridable(LATCHED)
             )
         if TFMessage:
             self._tf = node.create_publisher(TFMessage, "/tf", **overridable(TF))
-            self._tf_static = node.create_publisher(
-                TFMessage, "/tf_static", **overridable(FIRST_VIEW)
-            )
+            self._tf_static = node.create_publisher(TFMessage, "/tf_static", **overridable(LATCHED))
         else:
             node.get_logger().info("no tf2_msgs here: TF is left out")
 

@@ -27,7 +27,7 @@ from rosplat_ros.first_views import read_first_view
 from rosplat_ros.images import to_image
 from rosplat_ros.map_receiver import MapReceiver
 from rosplat_ros.program.parameters import declare, declare_path
-from rosplat_ros.qos import FIRST_VIEW, ORDER, VIEW, overridable
+from rosplat_ros.qos import LATCHED, ORDER, VIEW, overridable
 from rosplat_ros.view_cameras import numbers
 from rviz_gaussian_plugin.offscreen import Renderer
 from rviz_gaussian_plugin.viewer.orbit import bounds
@@ -144,7 +144,7 @@ class Viewer(Node):
             f"{topic}/first_view",
             self._on_first_view,
             callback_group=own(),
-            **overridable(FIRST_VIEW),
+            **overridable(LATCHED),
         )
         if self.serves:
             self.create_service(
