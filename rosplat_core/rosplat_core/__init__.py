@@ -5,8 +5,9 @@ This is the public interface; each name's module is loaded at first use. The mod
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from rosplat_core.lazy import attributes
 
 if TYPE_CHECKING:
     from rosplat_core.alignment import Alignment, align
@@ -51,30 +52,22 @@ __all__ = [
     "simplify",
 ]
 
-_MODULES = {
-    "alignment": ("Alignment", "align"),
-    "cameras": ("Camera", "load_cameras", "look_at", "orbit", "save_cameras"),
-    "distances": ("DistanceField",),
-    "first_look": ("first_view",),
-    "formats": ("load", "save"),
-    "generated": ("generate",),
-    "models": ("Model",),
-    "ordering": ("depth_order",),
-    "relocalisation": ("Relocaliser", "relocalise"),
-    "rendering": ("CpuRenderer", "render"),
-    "simplification": ("simplify",),
-    "slot_order": ("put_in_slot_order",),
-    "splats": ("InputError", "Splats", "concatenate"),
-    "upright": ("find_up",),
-}
-
-
-def __getattr__(name: str) -> Any:
-    for module, names in _MODULES.items():
-        if name in names:
-            return getattr(import_module(f"{__name__}.{module}"), name)
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = attributes(
+    __name__,
+    {
+        "alignment": ("Alignment", "align"),
+        "cameras": ("Camera", "load_cameras", "look_at", "orbit", "save_cameras"),
+        "distances": ("DistanceField",),
+        "first_look": ("first_view",),
+        "formats": ("load", "save"),
+        "generated": ("generate",),
+        "models": ("Model",),
+        "ordering": ("depth_order",),
+        "relocalisation": ("Relocaliser", "relocalise"),
+        "rendering": ("CpuRenderer", "render"),
+        "simplification": ("simplify",),
+        "slot_order": ("put_in_slot_order",),
+        "splats": ("InputError", "Splats", "concatenate"),
+        "upright": ("find_up",),
+    },
+)

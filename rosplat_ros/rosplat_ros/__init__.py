@@ -5,8 +5,9 @@ The names here are the public interface, each loaded at its first use. The modul
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from rosplat_core.lazy import attributes
 
 if TYPE_CHECKING:
     from rosplat_ros.images import from_image
@@ -21,19 +22,12 @@ __all__ = [
     "to_matrix",
 ]
 
-_MODULES = {
-    "MapPublisher": "map_publisher",
-    "MapReceiver": "map_receiver",
-    "from_image": "images",
-    "to_matrix": "poses",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = attributes(
+    __name__,
+    {
+        "images": ("from_image",),
+        "map_publisher": ("MapPublisher",),
+        "map_receiver": ("MapReceiver",),
+        "poses": ("to_matrix",),
+    },
+)

@@ -5,8 +5,9 @@ This is the public interface; each name's module is loaded at first use. The mod
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from rosplat_core.lazy import attributes
 
 if TYPE_CHECKING:
     from rosplat_sorter.backends import Backend, Unavailable, open_backend
@@ -19,19 +20,7 @@ __all__ = [
     "open_backend",
 ]
 
-_MODULES = {
-    "Backend": "backends",
-    "OrderReader": "order_slots",
-    "Unavailable": "backends",
-    "open_backend": "backends",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = attributes(
+    __name__,
+    {"backends": ("Backend", "Unavailable", "open_backend"), "order_slots": ("OrderReader",)},
+)

@@ -5,8 +5,9 @@ The names here are the public interface, each loaded at its first use. The modul
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from rosplat_core.lazy import attributes
 
 if TYPE_CHECKING:
     from rosplat_tools.following.whole_maps import WholeMaps
@@ -17,17 +18,7 @@ __all__ = [
     "WholeMaps",
 ]
 
-_MODULES = {
-    "SplatCamera": "simulation.splat_camera",
-    "WholeMaps": "following.whole_maps",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = attributes(
+    __name__,
+    {"following.whole_maps": ("WholeMaps",), "simulation.splat_camera": ("SplatCamera",)},
+)
