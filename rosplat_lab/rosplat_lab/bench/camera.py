@@ -124,12 +124,14 @@ Shoot = Callable[[int], object]
 def _by_camera(
     film: Set, cameras: list[Camera], *, coefficients: tuple[float, ...] = (), by_tf: bool = False
 ) -> Shoot:
-    from geometry_msgs.msg import PoseStamped, TransformStamped
+    from geometry_msgs.msg import PoseStamped
     from rclpy.time import Time
     from sensor_msgs.msg import CameraInfo, Image
+    from std_msgs.msg import Header
 
     from rosplat_ros.poses import to_pose
     from rosplat_tools.cameras.calibrations import of_lens
+    from rosplat_tools.frames import transform
 
     lens = lens_of(cameras[0])
     if coefficients:
@@ -157,18 +159,12 @@ def _by_camera(
     def pose(number: int) -> int:
         """Publishes where the camera is now; returns the time. [ns]"""
         now = film.asker.get_clock().now()
+        header = Header(frame_id=film.frame, stamp=now.to_msg())
         place = to_pose(np.linalg.inv(cameras[number % len(cameras)].world_to_camera))
         if transforms:
-            moved = TransformStamped(child_frame_id=optical)
-            moved.header.frame_id, moved.header.stamp = film.frame, now.to_msg()
-            moved.transform.rotation = place.orientation
-            for axis in "xyz":
-                setattr(moved.transform.translation, axis, getattr(place.position, axis))
-            transforms.publish(tf_message(transforms=[moved]))
+            transforms.publish(tf_message(transforms=[transform(header, optical, place)]))
         else:
-            message = PoseStamped(pose=place)
-            message.header.frame_id, message.header.stamp = film.frame, now.to_msg()
-            poses.publish(message)
+            poses.publish(PoseStamped(header=header, pose=place))
         return int(now.nanoseconds)
 
     def shoot(number: int) -> None:
@@ -219,12 +215,8 @@ def _by_render_view(film: Set, cameras: list[Camera]) -> Shoot:
 
 
 def _tf_message() -> Any:
-    from rosplat_tools.frames import tf2_ros
+    from rosplat_tools.frames import TFMessage, tf2_ros
 
-    try:
-        from tf2_msgs.msg import TFMessage
-    except ImportError:
-        return None
     return TFMessage if tf2_ros else None
 
 
