@@ -532,7 +532,7 @@ class _Search:
         if self._last is None:
             return None
         step, moved = _solved(self._last, NEWTON_DAMPING)
-        self._take(step)
+        self._apply_step(step)
         return moved
 
     def _search(self, level: _Level, pixels: MapPixels) -> float | None:
@@ -555,7 +555,7 @@ class _Search:
         self._pose, self._exposure = self._pose @ move, exposure
         return _length(start, np.concatenate([move[:3, 3], _turn(move)]))
 
-    def _take(self, step: Array) -> None:
+    def _apply_step(self, step: Array) -> None:
         self._pose = self._pose @ motion(step[:6])
         self._exposure = self._exposure + step[6:].reshape(3, 2)
 

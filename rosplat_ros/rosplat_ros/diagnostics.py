@@ -53,14 +53,14 @@ class Diagnostics:
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-        self._timer = self._spun.create_timer(PERIOD, self._tell, clock=steady)
+        self._timer = self._spun.create_timer(PERIOD, self._on_timer, clock=steady)
 
     def close(self) -> None:
         """Ends the reports. Call it while the spun node's executor can't be at one."""
         self._spun.destroy_timer(self._timer)
         self._node.destroy_publisher(self._publisher)
 
-    def _tell(self) -> None:
+    def _on_timer(self) -> None:
         try:
             self._publish()
         except InvalidHandle:  # the node was destroyed

@@ -64,9 +64,9 @@ class MapReceiver:
         self._asked: dict[int, Future] = {}  # answers to come, by the number of the request
         self._qos: MapQos | None = None
         self._subscription: Subscription | None = None
-        self._meet_publishers()
+        self._adapt_to_publishers()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-        node.create_timer(WATCH_PERIOD, self._meet_publishers, group, steady)
+        node.create_timer(WATCH_PERIOD, self._adapt_to_publishers, group, steady)
         node.create_timer(PULL_PERIOD, self._tick, group, steady)
 
     @property
@@ -96,12 +96,12 @@ class MapReceiver:
         self._subscription = self._node.create_subscription(
             GaussianArray,
             "gaussians",
-            self._hear,
+            self._on_message,
             callback_group=_Gate(lambda: self._busy() and not self._is_served()),
             **overridable(MAP, qos),
         )
 
-    def _hear(self, message: GaussianArray) -> None:
+    def _on_message(self, message: GaussianArray) -> None:
         newest, before = self._maps
         if message.map_id != newest:
             self._maps = message.map_id, newest
@@ -117,17 +117,17 @@ class MapReceiver:
             if self._pull.held and served and not replaces:
                 self._pull.miss(labelled(message), now)
             else:
-                self._do(self._pull.receive(labelled(message), now, served))
+                self._carry_out(self._pull.receive(labelled(message), now, served))
 
     def _tick(self) -> None:
         with self._lock:
             self._pull.held = self._busy()
-            self._do(self._pull.tick(time.monotonic(), self._is_served()))
+            self._carry_out(self._pull.tick(time.monotonic(), self._is_served()))
 
     def _is_served(self) -> bool:
         return bool(self._client.service_is_ready())
 
-    def _do(self, step: tuple[Any, Any, bool]) -> None:
+    def _carry_out(self, step: tuple[Any, Any, bool]) -> None:
         batches, request, subscribe_anew = step
         if request:  # first, so that it is answered meanwhile
             self._send(*request)
@@ -155,9 +155,9 @@ class MapReceiver:
         )
         pending = self._client._pending_requests  # only this has the request's number in ROS
         sequence = next((key for key, future in pending.items() if future is asked), 0)
-        asked.add_done_callback(lambda answer: self._take(number, sequence, answer))
+        asked.add_done_callback(lambda answer: self._on_answer(number, sequence, answer))
 
-    def _take(self, number: int, sequence: int, answer: Future) -> None:
+    def _on_answer(self, number: int, sequence: int, answer: Future) -> None:
         response: PullMap.Response = answer.result()
         with self._lock:
             self._pull.held = self._busy()
@@ -165,12 +165,12 @@ class MapReceiver:
                 return
             if not response.batches:  # no such map there: rclpy is made to take another's answer
                 other = self._asked[number] = self._client._pending_requests[sequence] = Future()
-                other.add_done_callback(lambda answer: self._take(number, sequence, answer))
+                other.add_done_callback(lambda answer: self._on_answer(number, sequence, answer))
             batches = [labelled(message) for message in response.batches]
             now, served = time.monotonic(), self._is_served()
-            self._do(self._pull.answer(number, batches, response.next_block, now, served))
+            self._carry_out(self._pull.answer(number, batches, response.next_block, now, served))
 
-    def _meet_publishers(self) -> None:
+    def _adapt_to_publishers(self) -> None:
         known = self._node.get_publishers_info_by_topic(self.topic)
         ours = type_name(GaussianArray)
         offers = [_offer(each.qos_profile) for each in known if each.topic_type == ours]

@@ -110,7 +110,7 @@ class SorterNode(Node):
         if self._is_told:
             self.add_post_set_parameters_callback(self._use)
         self.create_subscription(
-            ViewCamera, f"{topic}/view", self._look, **qos.overridable(qos.VIEW)
+            ViewCamera, f"{topic}/view", self._on_view, **qos.overridable(qos.VIEW)
         )
         Diagnostics(self, topic, self._report)
         Mistakes(self)
@@ -121,7 +121,7 @@ class SorterNode(Node):
             self._at_work.worker.close()
         super().destroy_node()
 
-    def _look(self, message: ViewCamera) -> None:
+    def _on_view(self, message: ViewCamera) -> None:
         if not message.sequence:
             return  # no order is wanted
         if not self._at_work:

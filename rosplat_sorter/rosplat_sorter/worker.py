@@ -231,7 +231,7 @@ class Worker:
             if backend is not None:
                 self._attempt(self._use, backend)
             for message in views.values():
-                self._attempt(self._see, message)
+                self._attempt(self._update_view, message)
             self._apply_slice()
             self._attempt(self._forget_silent, time.monotonic())
             if (view_id := self._next_due()) is not None:
@@ -338,7 +338,7 @@ class Worker:
 
     # --- Views ------------------------------------------------------------------------------------
 
-    def _see(self, message: ViewCamera) -> None:
+    def _update_view(self, message: ViewCamera) -> None:
         try:
             seen = view_cameras.decode(message)
         except CameraError as error:

@@ -93,7 +93,7 @@ def functions():
     return sum(isinstance(each, types.FunctionType) for each in gc.get_objects())
 
 seen = threading.Semaphore(0)
-node.SorterNode._look = lambda self, message: seen.release()
+node.SorterNode._on_view = lambda self, message: seen.release()
 
 def look():
     while not rclpy.ok():

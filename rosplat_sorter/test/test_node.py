@@ -378,7 +378,7 @@ def test_qos_overrides_are_parameters_and_outlive_what_adapts(make_batch, make_l
         ]
 
     try:
-        sorter._look(make_look())
+        sorter._on_view(make_look())
         adapts = sorter._at_work._map
         peer.create_publisher(GaussianArray, f"{name}/gaussians", qos.MAP_VOLATILE)
         deadline = time.monotonic() + PATIENCE
@@ -512,7 +512,7 @@ def test_remapping_the_map_takes_views_and_orders_along(make_look):
     node = SorterNode()
     try:
         assert "/slam/map/view" in {heard.topic_name for heard in node.subscriptions}
-        node._look(make_look())
+        node._on_view(make_look())
         assert "/slam/map" in {heard.topic_name for heard in node.subscriptions}
         assert "/slam/map/pull" in {client.srv_name for client in node.clients}
         assert "/slam/map/order" in {publisher.topic_name for publisher in node.publishers}

@@ -47,7 +47,7 @@ class FirstViews:
         )
         if self._upright_frame:
             self._transforms = node.create_publisher(TFMessage, "/tf_static", LATCHED)
-            self._stand(np.eye(4))
+            self._publish_upright(np.eye(4))
 
     def find(self, scene: str, splats: Splats | PackedSplats) -> Found | None:
         """The first view of a scene, and how it stands upright; None, with a warning, without."""
@@ -75,11 +75,11 @@ class FirstViews:
             return
         view, pose = found
         if self._upright_frame:
-            self._stand(pose)
+            self._publish_upright(pose)
         stamp = self._node.get_clock().now().to_msg()
         self._views.publish(first_view_message(view, self._frame_id, stamp))
 
-    def _stand(self, pose: NDArray[np.float64]) -> None:
+    def _publish_upright(self, pose: NDArray[np.float64]) -> None:
         stamp = self._node.get_clock().now().to_msg()
         header = Header(frame_id=self._upright_frame, stamp=stamp)
         stands = transform(header, self._frame_id, to_pose(pose))

@@ -61,7 +61,7 @@ class FrameError(LookupError):
 
 
 class Frames:
-    """Poses of frames, from a node's TF or from take()."""
+    """Poses of frames, from a node's TF or from add()."""
 
     def __init__(self, node: Node | None = None, keeps: float = KEEPS) -> None:
         """keeps: how far back [s]. Raises InputError where there is no TF."""

@@ -43,7 +43,7 @@ class LatchedSubscription:
         self._early: deque[Any] = deque(maxlen=EARLY)  # heard until then; some come again
         self._subscription = self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-        node.create_timer(WATCH_PERIOD, self._meet_publishers, clock=steady)
+        node.create_timer(WATCH_PERIOD, self._adapt_to_publishers, clock=steady)
 
     def _subscribe(self) -> Any:
         adapted = copy(self._profile)
@@ -54,7 +54,7 @@ class LatchedSubscription:
                 ReliabilityPolicy.RELIABLE if self._reliable else ReliabilityPolicy.BEST_EFFORT
             )
         return self._node.create_subscription(
-            *self._given, self._hear, **overridable(self._profile, adapted)
+            *self._given, self._on_message, **overridable(self._profile, adapted)
         )
 
     def _offers_suit(self, latched: bool, reliable: bool) -> bool:
@@ -65,7 +65,7 @@ class LatchedSubscription:
             qos.reliability == ReliabilityPolicy.RELIABLE,
         )
 
-    def _hear(self, message: Any) -> None:
+    def _on_message(self, message: Any) -> None:
         if self._latched is None:
             self._early.append(message)
         elif message in self._early:
@@ -74,7 +74,7 @@ class LatchedSubscription:
             self._early.clear()
         self._heard(message)
 
-    def _meet_publishers(self) -> None:
+    def _adapt_to_publishers(self) -> None:
         publishers = [
             publisher.qos_profile
             for publisher in self._node.get_publishers_info_by_topic(self.topic)

@@ -21,8 +21,8 @@ PATIENCE = 3.0  # how long problem() waits for a map that begins anew [s]
 
 
 class MapSubscriber:
-    """Hears `gaussians` and pulls missing batches. ROS's threads hand the batches over; take()
-    applies them, in the thread that uses the map.
+    """Hears `gaussians` and pulls missing batches. ROS's threads hand the batches over;
+    apply_waiting() applies them, in the thread that uses the map.
     """
 
     def __init__(
@@ -43,14 +43,14 @@ class MapSubscriber:
         self.edits = 0
         """Number of applied batches. It grows whenever the map changes."""
         self.applied: Callable[[GaussianArray], None] = lambda batch: None
-        """Called by take() with each applied batch."""
+        """Called by apply_waiting() with each applied batch."""
         self._refused = self._dropped = 0  # refused batches, and dropped splats
         self._announced = False  # whether the map has held all that was announced
         self._began = self._applied = 0.0  # times of the last REPLACE and of the last batch [s]
         self._waiting: deque[tuple[GaussianArray, Arrival]] = deque()
         self._subscription = MapReceiver(
             node,
-            self._hear,
+            self._on_batch,
             busy=lambda: self._backlog() > MOST_WAITING,
             most_sh_degree=most_sh_degree,
         )
@@ -59,7 +59,7 @@ class MapSubscriber:
     def _backlog(self) -> int:
         return sum(array_bytes(batch) for batch, _ in tuple(self._waiting))
 
-    def _hear(self, batch: GaussianArray, arrival: Arrival) -> None:
+    def _on_batch(self, batch: GaussianArray, arrival: Arrival) -> None:
         self._waiting.append((batch, arrival))
         self._heard()
 

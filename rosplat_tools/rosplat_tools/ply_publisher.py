@@ -111,7 +111,7 @@ class PlyPublisher(Node):
 
     def _load(self, answer: Future[str], path: str) -> str:
         start = time.monotonic()
-        self._go_on(answer)  # cancelled, maybe, while it waited
+        self._raise_if_cancelled(answer)  # cancelled, maybe, while it waited
         splats = self._read(answer, path)
         view = self._views.find(path, splats)
         if not answer.set_running_or_notify_cancel():
@@ -120,7 +120,7 @@ class PlyPublisher(Node):
         with bar("publishing", len(splats)) as drawn:
 
             def published(count: int) -> None:
-                self._go_on(answer)
+                self._raise_if_cancelled(answer)
                 drawn.update(count)
 
             before, self._up = self._up, splats.up  # a save may come while the map is sent
@@ -144,7 +144,7 @@ class PlyPublisher(Node):
         with bar("loading") as drawn:
 
             def loaded(part: float) -> None:
-                self._go_on(answer)
+                self._raise_if_cancelled(answer)
                 drawn.update(part - drawn.n)
                 if drawn.disable:
                     self.get_logger().info(
@@ -155,7 +155,7 @@ class PlyPublisher(Node):
             splats = load_scene_into(formats.IntoPacked(), path, loaded, warn)
             return splats if self._model is None else replace(splats, model=self._model)
 
-    def _go_on(self, answer: Future[str]) -> None:
+    def _raise_if_cancelled(self, answer: Future[str]) -> None:
         if answer.cancelled() or not self.context.ok():
             raise Cancelled
 

@@ -154,7 +154,7 @@ class Into(ABC, Generic[Made]):
                 whole = slice(first + part.start, first + part.stop)
                 room = self._room(whole)
                 yield source, part, room
-                self._take(whole, room)
+                self._store(whole, room)
                 progress(whole.stop / n)
             first += count
 
@@ -188,7 +188,7 @@ class Into(ABC, Generic[Made]):
         n, k = columns.sh.shape[:2]
         self._begin(n, k, columns)
         for part in blocks(n):
-            self._take(part, columns.part(part))
+            self._store(part, columns.part(part))
         return self.made(path, warn, model, channels)
 
     def _begin(self, n: int, k: int, columns: Columns | None = None) -> None:
@@ -198,7 +198,7 @@ class Into(ABC, Generic[Made]):
     @abstractmethod
     def _room(self, part: slice) -> Columns: ...
 
-    def _take(self, part: slice, written: Columns) -> None:
+    def _store(self, part: slice, written: Columns) -> None:
         self._usable[part] = usable(written)
 
     @abstractmethod
@@ -246,8 +246,8 @@ class IntoPacked(Into[PackedSplats]):
     def _room(self, part: slice) -> Columns:
         return Columns.empty(part.stop - part.start, self._rows.shape[1] - 8)
 
-    def _take(self, part: slice, written: Columns) -> None:
-        super()._take(part, written)
+    def _store(self, part: slice, written: Columns) -> None:
+        super()._store(part, written)
         self._positions[part] = written.positions
         self._sizes[part] = written.scales.max(axis=1)
         near = written.positions.astype(np.float32)  # replaced once there is an origin

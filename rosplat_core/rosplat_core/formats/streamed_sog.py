@@ -239,7 +239,7 @@ class Pieces:
         path = self._scene.files[file]
         try:
             with self._decoding[file]:
-                return self._find(file) or self._keep(file, self._unpack(path))
+                return self._find(file) or self._remember(file, self._unpack(path))
         except MemoryError as error:
             raise InputError(f"{path}: too large for this machine's memory") from error
 
@@ -248,9 +248,9 @@ class Pieces:
         self._closed = True
 
     def _unpack(self, path: Path) -> sog.Packed:
-        return sog.unpack(path, lambda fraction: self._go_on())
+        return sog.unpack(path, lambda fraction: self._raise_if_closed())
 
-    def _go_on(self) -> None:
+    def _raise_if_closed(self) -> None:
         if self._closed:
             raise CancelledError
 
@@ -260,7 +260,7 @@ class Pieces:
                 self._kept.move_to_end(file)
             return self._kept.get(file)
 
-    def _keep(self, file: int, packed: sog.Packed) -> sog.Packed:
+    def _remember(self, file: int, packed: sog.Packed) -> sog.Packed:
         with self._lock:
             self._kept[file] = packed
             room = self.KEPT_BYTES - sum(kept.nbytes for kept in self._kept.values())

@@ -144,10 +144,10 @@ def _by_camera(
     )  # fmt: skip
     stamps: list[int] = []
 
-    def hear(image: Image) -> None:
+    def on_image(image: Image) -> None:
         stamps.append(Time.from_msg(image.header.stamp).nanoseconds)
 
-    film.asker.create_subscription(Image, "camera/image_raw", hear, 5)
+    film.asker.create_subscription(Image, "camera/image_raw", on_image, 5)
     infos = film.asker.create_publisher(CameraInfo, "camera/calibration", 5)
     film.wait(infos.get_subscription_count, film.complaint)
     infos.publish(of_lens(lens))

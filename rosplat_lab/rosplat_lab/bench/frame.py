@@ -116,7 +116,7 @@ def measure(plan: Plan) -> Iterator[Event]:
             for name in scenes.names(plan.sizes or sizes, plan.scenes or rooms):
                 looks = _looks(plan, name, pictures)
                 told: Truths = {}
-                jobs.append(partial(_tell_truths, name, looks, told))
+                jobs.append(partial(_draw_truths, name, looks, told))
                 for maps in sorted({variants()[variant].maps for variant in ours}):
                     alike = [variant for variant in ours if variants()[variant].maps == maps]
                     jobs.append(partial(isolated, _scene, plan, name, looks, told, alike, maps))
@@ -144,7 +144,7 @@ def _looks(plan: Plan, name: str, pictures: Sequence[tuple[int, int]]) -> list[L
     return [(picture, view) for picture in pictures for view in views]
 
 
-def _tell_truths(name: str, looks: Sequence[Look], told: Truths) -> Iterator[Event]:
+def _draw_truths(name: str, looks: Sequence[Look], told: Truths) -> Iterator[Event]:
     """Fills told for these looks at a scene."""
     yield Doing(f"{name}: reference", 0.0)
     found = truths.draw(name, [partial(_first, look) for look in looks])

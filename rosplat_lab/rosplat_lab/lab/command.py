@@ -93,8 +93,8 @@ def _write(out: Path, docs: Path | None, keep: bool) -> None:
     """The report of what was measured here, and the pages of all that is kept."""
     written = []
     if docs and keep:
-        _keep(out, docs / pages.KEPT)
-    kept = _kept(docs / pages.KEPT if docs else None)
+        _copy_records(out, docs / pages.KEPT)
+    kept = _copied_records(docs / pages.KEPT if docs else None)
     if not docs and (out / "lab.json").exists():
         records = load([out / "lab.json"])
         kept["lab"] = {kind_of(records): records}
@@ -116,7 +116,7 @@ def kind_of(records: Sequence[Record]) -> str:
     )
 
 
-def _keep(out: Path, folder: Path) -> None:
+def _copy_records(out: Path, folder: Path) -> None:
     make_folder(folder)
     for name, suffix in (("lab", ""), ("atlas", "-atlas")):
         path = out / f"{name}.json"
@@ -124,7 +124,7 @@ def _keep(out: Path, folder: Path) -> None:
             shutil.copyfile(path, folder / f"{kind_of(load([path]))}{suffix}.json")
 
 
-def _kept(folder: Path | None) -> dict[str, dict[str, list[Record]]]:
+def _copied_records(folder: Path | None) -> dict[str, dict[str, list[Record]]]:
     """Records by what was measured, and kind of machine."""
     kept: dict[str, dict[str, list[Record]]] = {"lab": {}, "atlas": {}}
     for kind in KINDS:

@@ -243,7 +243,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     rows: list[dict[str, object]] = []
 
-    def keep(camera: Camera, color: NDArray[np.float32], answer: RenderView.Response) -> None:
+    def write_view(camera: Camera, color: NDArray[np.float32], answer: RenderView.Response) -> None:
         picture = write_picture(options.out / str(camera.id), color, options.format)
         row: dict[str, object] = {
             "camera": camera.id,
@@ -272,7 +272,7 @@ def main(arguments: list[str] | None = None) -> int:
             publisher, cameras,
             via=options.via, sidecar=options.sidecar,
             detail=options.detail,
-            log_folder=options.out / "log", on_picture=keep,
+            log_folder=options.out / "log", on_picture=write_view,
         )  # fmt: skip
     except (RuntimeError, OSError, ValueError, MemoryError) as error:
         print(f"render: {told(error)}", file=sys.stderr)

@@ -21,9 +21,9 @@ class Mistakes:
         self._said: set[str] = set()
         self._find_unknown_parameters()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-        self._timer = node.create_timer(PERIOD, self._look, clock=steady)
+        self._timer = node.create_timer(PERIOD, self._on_timer, clock=steady)
 
-    def _say(self, text: str) -> None:
+    def _warn_once(self, text: str) -> None:
         if text not in self._said:
             self._said.add(text)
             self._node.get_logger().warning(text)
@@ -34,12 +34,14 @@ class Mistakes:
         for name in self._node._parameter_overrides:  # no public function has them
             # QoS overrides are declared with their publisher or subscription, maybe later.
             if name not in known and not name.startswith("qos_overrides."):
-                self._say(f"parameter {name}: not known, ignored; known are {', '.join(ours)}")
+                self._warn_once(
+                    f"parameter {name}: not known, ignored; known are {', '.join(ours)}"
+                )
 
-    def _look(self) -> None:
+    def _on_timer(self) -> None:
         try:
             if not self._node.get_clock().now().nanoseconds:
-                self._say("use_sim_time is true, but nobody publishes /clock")
+                self._warn_once("use_sim_time is true, but nobody publishes /clock")
             for subscription in list(self._node.subscriptions):
                 self._find_other_types(subscription.topic_name, type_name(subscription.msg_type))
         except Exception:  # RCLError and InvalidHandle
@@ -49,7 +51,7 @@ class Mistakes:
     def _find_other_types(self, topic: str, wanted: str) -> None:
         for publisher in self._node.get_publishers_info_by_topic(topic):
             if publisher.topic_type != wanted:
-                self._say(
+                self._warn_once(
                     f"{topic}: somebody publishes {publisher.topic_type}, which isn't heard; "
                     f"expected {wanted}"
                 )

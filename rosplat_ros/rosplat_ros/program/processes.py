@@ -67,12 +67,12 @@ class _Waker:
         self._heard = False
         self._signals, writing = os.pipe()
         os.set_blocking(writing, False)
-        signal.signal(self._POKE, self._hear)
+        signal.signal(self._POKE, self._on_poke)
         signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
         os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))  # the pipe is ours
         threading.Thread(target=self._watch, name="signals", daemon=True).start()
 
-    def _hear(self, _number: int, _frame: FrameType | None) -> None:
+    def _on_poke(self, _number: int, _frame: FrameType | None) -> None:
         self._heard = True
 
     def _watch(self) -> None:

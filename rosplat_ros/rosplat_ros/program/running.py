@@ -153,7 +153,7 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
             _wait_for_callbacks(executor, GRACE)
             node.context.try_shutdown()  # callbacks that still run see that and end
             _wait_for_callbacks(executor, math.inf)
-            _tell_of_callbacks(executor)
+            _print_errors_of_callbacks(executor)
             with _ended_within(LAST):
                 executor.shutdown()
                 node.destroy_node()
@@ -184,7 +184,7 @@ def _wait_for_callbacks(executor: Executor, timeout: float) -> None:
         time.sleep(0.005)
 
 
-def _tell_of_callbacks(executor: Executor) -> None:
+def _print_errors_of_callbacks(executor: Executor) -> None:
     # rclpy itself reports every error that nobody fetches. Since Kilted, nodes end with ROS: a
     # callback that answers or publishes later raises InvalidHandle, which is no news.
     for task in getattr(executor, "_futures", []):

@@ -100,10 +100,10 @@ class Bag:
             kinds[self._pose] = PoseStamped
         with _counted("reading the bag") as drawn:
             for topic, message in bags.messages(self.path, kinds):
-                self._take(topic, message)
+                self._add(topic, message)
                 drawn.update()
 
-    def _take(self, topic: str, message: Any) -> None:
+    def _add(self, topic: str, message: Any) -> None:
         if topic == self._info:
             self.info = self.info or message
         elif topic == self._map:

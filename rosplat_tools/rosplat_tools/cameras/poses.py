@@ -67,15 +67,17 @@ class TopicPoses:
         self._jumps = on_restart(node, self._forget)
         for camera in cameras:
             topic = f"{camera}/pose" if camera else "pose"
-            node.create_subscription(PoseStamped, topic, self._taker(camera), **overridable(POSES))
+            node.create_subscription(
+                PoseStamped, topic, self._callback_of(camera), **overridable(POSES)
+            )
 
     def _forget(self) -> None:
         with self._lock:
             for history in self._histories.values():
                 history.clear()
 
-    def _taker(self, camera: str) -> Callable[[PoseStamped], None]:
-        def take(message: PoseStamped) -> None:
+    def _callback_of(self, camera: str) -> Callable[[PoseStamped], None]:
+        def on_pose(message: PoseStamped) -> None:
             stamp = nanoseconds(message.header.stamp)
             try:
                 pose = to_matrix(to_pose(message.pose))
@@ -90,7 +92,7 @@ class TopicPoses:
                 self._histories[camera].add(stamp, pose)
             self._heard()
 
-        return take
+        return on_pose
 
     def newest(self, camera: str, frame: str, map_frame: str) -> tuple[int, Pose]:
         with self._lock:

@@ -36,7 +36,7 @@ class ResidualMap:
 
     def __init__(self, node: Node, drawn_map: DrawnMap) -> None:
         self._map = drawn_map
-        self._map.applied = self._take
+        self._map.applied = self._on_batch
         self._publisher = MapPublisher(node, topic="residuals")
         self._due = 0.0  # earliest time of the next sending
         self._pending = False  # whether pictures came since the last sending
@@ -49,7 +49,7 @@ class ResidualMap:
         self._slots: NDArray[np.uint32] | None = None  # in use at the last sending
         self._values = np.zeros(0, np.float32)  # by slot, as they were sent
 
-    def _take(self, batch: GaussianArray) -> None:
+    def _on_batch(self, batch: GaussianArray) -> None:
         if batch.operation in (GaussianArray.REPLACE, GaussianArray.MOVE):
             self._begin()
             return

@@ -124,15 +124,15 @@ class DemoSensors(Node):
     def _on_batch(self, batch: GaussianArray) -> None:
         self._is_new |= batch.operation == GaussianArray.REPLACE
 
-    def _lay(self) -> None:
+    def _plan_flight(self) -> None:
         """Lays the path anew around a map that was sent, once all of it has come."""
         self._map.apply_waiting()
         if self._is_new and not self._map.problem() and len(sample := self._map.books.sample):
             self._is_new = False
             self._frame_id = self._map.header.frame_id
-            self._fly(Flight.around(sample, self._period))
+            self._begin_flight(Flight.around(sample, self._period))
 
-    def _fly(self, flight: Flight) -> None:
+    def _begin_flight(self, flight: Flight) -> None:
         self._flight = flight
         self._trail.clear()
         self.get_logger().info(
@@ -147,7 +147,7 @@ class DemoSensors(Node):
     # --- What is measured -------------------------------------------------------------------------
 
     def _tick(self) -> None:
-        self._lay()
+        self._plan_flight()
         flight = self._flight
         if not flight:
             return
@@ -163,7 +163,7 @@ class DemoSensors(Node):
             self._imu.publish(self._measure(stamp, motion))
         for stamp in self._image_beat.due(now)[-1:]:
             camera = flight.camera(self._motion(flight, stamp), self._width, self._height)
-            self._look(camera, _time(stamp))
+            self._request_picture(camera, _time(stamp))
 
     def _motion(self, flight: Flight, stamp: int) -> Motion:
         # In whole nanoseconds: a float64 of today's date resolves a quarter of a microsecond.
@@ -185,7 +185,7 @@ class DemoSensors(Node):
 
     # --- The camera -------------------------------------------------------------------------------
 
-    def _look(self, camera: Camera, stamp: Time) -> None:
+    def _request_picture(self, camera: Camera, stamp: Time) -> None:
         view = view_camera(camera)
         view.header = Header(stamp=stamp, frame_id=self._frame_id)
         self._publish_pose(PoseStamped(header=view.header, pose=view.pose))

@@ -55,7 +55,7 @@ class Follow(Node):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
         if path:
             self._file = WatchedFile(path)
-            self.create_timer(period, self._look, clock=self._steady)
+            self.create_timer(period, self._check_file, clock=self._steady)
             doing = "following" if self._file.is_there() else "waiting for"
             self.get_logger().info(f"{doing} {shown(path)}")
         else:
@@ -75,14 +75,14 @@ class Follow(Node):
         name = self.resolve_topic_name(kind.TOPIC)
         reader = kind.Reader(name, self.get_logger().warning)
 
-        def hear(message: Any) -> None:
+        def on_message(message: Any) -> None:
             try:
                 if reader.add(message):
                     self._heard[name] = reader
             except InputError as error:
                 self._refuse(error)
 
-        LatchedSubscription(self, message, kind.TOPIC, hear, QoSProfile(depth=kind.DEPTH))
+        LatchedSubscription(self, message, kind.TOPIC, on_message, QoSProfile(depth=kind.DEPTH))
         return True
 
     def _name_missing(self) -> None:
@@ -97,19 +97,19 @@ class Follow(Node):
                         f"{topic}: not heard: {package}, which {kind.TYPE} is of, isn't installed"
                     )
 
-    def _look(self) -> None:
+    def _check_file(self) -> None:
         version = self._file.poll()
         if version is None:
             return
         try:
-            splats = load_scene(str(version.path), self._go_on, self.get_logger().warning)
+            splats = load_scene(str(version.path), self._raise_if_ended, self.get_logger().warning)
         except InputError as error:
             self._refuse(error)  # a file that is being written isn't whole
             return
         if self._file.is_still(version):
             self._show(splats, "", str(version.path))
 
-    def _go_on(self, _: float) -> None:
+    def _raise_if_ended(self, _: float) -> None:
         if not self.context.ok():
             raise Cancelled
 

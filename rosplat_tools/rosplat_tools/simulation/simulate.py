@@ -139,7 +139,7 @@ class Simulate(Node):
         while self.context.ok():
             with self._lock:
                 self._map.apply_waiting()
-                passes = self._stands() and (not self._paused or self._steps > 0)
+                passes = self._is_placed() and (not self._paused or self._steps > 0)
                 if passes:
                     self._tick()
             now = time.monotonic()
@@ -180,7 +180,7 @@ class Simulate(Node):
 
     # --- The robot in the map ---------------------------------------------------------------------
 
-    def _stands(self) -> bool:
+    def _is_placed(self) -> bool:
         """Whether the robot is in a whole map; puts it there once there is one."""
         if self._outdated:  # dropped here: OpenGL's objects are this thread's
             self._scene, self._outdated = None, False
@@ -245,11 +245,11 @@ class Simulate(Node):
             self._up = up
 
     def _commander(self, name: str) -> Callable[[Float64], None]:
-        def take(message: Float64) -> None:
+        def on_command(message: Float64) -> None:
             with self._lock:
                 self._command(name, message.data)
 
-        return take
+        return on_command
 
     def _command(self, name: str, value: float) -> None:
         try:

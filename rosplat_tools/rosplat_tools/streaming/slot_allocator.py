@@ -59,7 +59,7 @@ class SlotAllocator:
         return slots.astype(np.uint32).ravel()[:count]
 
     def give_back(self, slots: NDArray[np.uint32]) -> None:
-        """Frees the strips of slots; of each take(), all slots or none."""
+        """Frees the strips of slots; of each allocate(), all slots or none."""
         strips = np.unique(slots // SLOTS_PER_STRIP)
         self._slots -= SLOTS_PER_STRIP * len(strips)
         pages, counts = np.unique(strips // STRIPS_PER_PAGE, return_counts=True)

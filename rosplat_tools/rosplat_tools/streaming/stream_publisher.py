@@ -52,7 +52,7 @@ class StreamPublisher(Node):
             raise InputError("parameter path: expected a streamed SOG's lod-meta.json, got none")
         scene = open_streamed(Path(path))
         self._views: dict[str, FollowedView] = {}
-        self._looked = threading.Event()
+        self._view_came = threading.Event()
         try:
             coarsest = read_coarsest(scene, self.get_logger().warning)
             first_views.offer(first_views.find(path, coarsest))
@@ -75,9 +75,9 @@ class StreamPublisher(Node):
         """Follows the views until ROS ends. Call it from a thread that runs no callbacks."""
         resting = False
         while self.context.ok():
-            self._looked.clear()
+            self._view_came.clear()
             try:
-                changed = self._map.step(self._seen())
+                changed = self._map.step(self._recent_views())
             except InputError as error:
                 self.get_logger().error(f"a chunk is left out: {error}")
                 continue
@@ -87,9 +87,9 @@ class StreamPublisher(Node):
                 self.get_logger().info(f"at rest: {self._map}")
             resting = not changed
             if resting:
-                self._looked.wait(0.5)
+                self._view_came.wait(0.5)
 
-    def _seen(self) -> list[PosedCamera]:
+    def _recent_views(self) -> list[PosedCamera]:
         """The cameras of views that are still there; if none is, of the last views."""
         views = dict(self._views)
         now = time.monotonic()
@@ -112,7 +112,7 @@ class StreamPublisher(Node):
         self._views[message.view_id] = view
         while len(self._views) > MAX_VIEWS:
             self._views.pop(next(iter(self._views)), None)
-        self._looked.set()
+        self._view_came.set()
 
     def close(self) -> None:
         """Ends the threads that read."""

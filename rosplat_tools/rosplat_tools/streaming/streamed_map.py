@@ -108,7 +108,7 @@ class StreamedMap:
         while self._to_come and (left := deadline - time.monotonic()) > 0:
             fitting = self._fitting(growing)
             self._ask([*fitting.values(), *shrinking.values(), *growing.values()])
-            for chunk in self._take(fitting | shrinking, left):
+            for chunk in self._insert_what_is_read(fitting | shrinking, left):
                 growing.pop(chunk, None)
                 shrinking.pop(chunk, None)
                 del self._to_come[chunk]
@@ -174,7 +174,7 @@ class StreamedMap:
             if part not in self._asked:
                 self._asked[part] = self._readers.submit(self._pieces.read, part)
 
-    def _take(self, parts: dict[int, FileRange], patience: float) -> list[int]:
+    def _insert_what_is_read(self, parts: dict[int, FileRange], patience: float) -> list[int]:
         """Waits for levels of chunks to be read, puts them in, and returns the chunks."""
         asked = {chunk: part for chunk, part in parts.items() if part in self._asked}
         wait({self._asked[part] for part in asked.values()}, patience, FIRST_COMPLETED)
