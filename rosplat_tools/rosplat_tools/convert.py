@@ -114,8 +114,6 @@ def main(arguments: list[str] | None = None) -> int:
     except (InputError, MemoryError) as error:
         print(f"convert: {told(error)}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        return 130
     output = shown(options.output, LONGEST_ERROR)
     say(f"{output}: {len(back):,} splats, SH degree {back.sh_degree}, model {back.model}")
     say(errors)

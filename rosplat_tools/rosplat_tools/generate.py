@@ -47,7 +47,5 @@ def main(arguments: list[str] | None = None) -> int:
     except (InputError, MemoryError) as error:
         print(f"generate: {told(error)}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        return 130
     say(f"{shown(options.output, LONGEST_ERROR)}: {options.count:,} splats")
     return 0

@@ -138,6 +138,4 @@ def main(arguments: list[str] | None = None) -> int:
         except (InputError, MemoryError) as error:
             print(f"inspect: {told(error)}", file=sys.stderr)
             failed = True
-        except KeyboardInterrupt:
-            return 130
     return int(failed)

@@ -206,8 +206,6 @@ def main(arguments: list[str] | None = None) -> int:
     except (InputError, MemoryError) as error:
         print(f"compare: {told(error)}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        return 130
     for reason, count in left_out.items():
         first = ", the first" if count > 1 else ""
         print(
