@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as Picture
 from sensor_msgs.msg import Image
+from std_msgs.msg import Header
 
 from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError
@@ -23,13 +24,14 @@ _ENCODINGS = {
 }
 
 
-def to_image(pixels: NDArray[np.generic], encoding: str) -> Image:
+def to_image(pixels: NDArray[np.generic], encoding: str, header: Header | None = None) -> Image:
     """The message of pixels (height, width, ...), which are laid out as the encoding says."""
     height, width = pixels.shape[:2]
     step = pixels.nbytes // height
     return Image(
-        encoding=encoding, height=height, width=width, step=step, data=as_array("B", pixels)
-    )
+        header=header or Header(), encoding=encoding, height=height, width=width, step=step,
+        data=as_array("B", pixels),
+    )  # fmt: skip
 
 
 def to_bytes(colours: NDArray[np.floating]) -> NDArray[np.uint8]:

@@ -248,14 +248,11 @@ class _Camera:
             publisher.publish(info)
         if not picture:
             return
-        images = [(self._image, to_image(to_bytes(picture.colour), "rgb8"))]
+        self._image.publish(to_image(to_bytes(picture.colour), "rgb8", header))
         if picture.depth is not None:
-            images.append((self._depth, to_image(picture.depth, "32FC1")))
+            self._depth.publish(to_image(picture.depth, "32FC1", header))
         if picture.normals is not None:
-            images.append((self._normals, to_image(picture.normals, "32FC3")))
-        for publisher, image in images:
-            image.header = header
-            publisher.publish(image)
+            self._normals.publish(to_image(picture.normals, "32FC3", header))
 
 
 def main() -> None:

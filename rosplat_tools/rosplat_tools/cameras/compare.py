@@ -74,9 +74,7 @@ class Compare(Node):
             (self._rendered, found.rendered),
             (self._difference, comparison.heat(found.errors, found.mask)),
         ):
-            picture = to_image(pixels, "rgb8")
-            picture.header = taken.header
-            publisher.publish(picture)
+            publisher.publish(to_image(pixels, "rgb8", taken.header))
         if self._residuals:
             self._residuals.add(found, near, far)
         latency = (self.get_clock().now().nanoseconds - taken.stamp) / SECOND

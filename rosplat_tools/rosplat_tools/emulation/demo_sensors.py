@@ -218,9 +218,7 @@ class DemoSensors(Node):
 
     def _publish_picture(self, camera: Camera, stamp: Time, pixels: NDArray[np.uint8]) -> None:
         header = Header(stamp=stamp, frame_id=CAMERA)
-        image = to_image(pixels, "rgb8")
-        image.header = header
-        self._image.publish(image)
+        self._image.publish(to_image(pixels, "rgb8", header))
         info = of_pinhole(camera)
         info.header = header
         self._info.publish(info)

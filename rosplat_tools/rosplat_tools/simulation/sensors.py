@@ -62,15 +62,10 @@ class CameraTopics:
         if not any(publisher.get_subscription_count() for publisher in publishers):
             return
         picture = eye.picture(self._name, bodies=self._bodies.get_subscription_count() > 0)
-        images = [
-            (self._image, to_image(picture.colour, "rgb8")),
-            (self._depth, to_image(picture.depth, "32FC1")),
-        ]
+        self._image.publish(to_image(picture.colour, "rgb8", header))
+        self._depth.publish(to_image(picture.depth, "32FC1", header))
         if picture.bodies is not None:
-            images.append((self._bodies, to_image(picture.bodies, "16UC1")))
-        for publisher, image in images:
-            image.header = header
-            publisher.publish(image)
+            self._bodies.publish(to_image(picture.bodies, "16UC1", header))
 
 
 class LidarTopics:
