@@ -31,16 +31,6 @@ def at_rate(record: Record) -> str:
     return f"{record.parameters['rate']:g} Hz, {parameter('backend')(record)}"
 
 
-def off(record: Record) -> float:
-    """How far off a start was. [degrees]"""
-    return float(record.parameters["degrees"])
-
-
-def environments(record: Record) -> float:
-    """How many environments shared the map."""
-    return float(record.parameters["environments"])
-
-
 def splats(record: Record) -> float:
     """How many splats the record was measured on."""
     return record.splats
@@ -102,13 +92,14 @@ CHARTS = (
     Chart(
         "align", "align", "success", "Poses found again, by how far off they began",
         "share of the starts", parameter("picture"), lambda r: Path(r.scene).stem,
-        x="rotation [degrees]; 5/3 as many % of the scene's radius", over=off,
-        log=False, band=False,
+        x="rotation [degrees]; 5/3 as many % of the scene's radius",
+        over=lambda r: float(r.parameters["degrees"]), log=False, band=False,
     ),
     Chart(
         "simulate-steps", "simulate", "steps a second", "Steps of all environments together",
         "steps a second", parameter("pixels"), lambda r: Path(r.scene).stem,
-        x="environments that share a map", over=environments, log=False, band=False,
+        x="environments that share a map",
+        over=lambda r: float(r.parameters["environments"]), log=False, band=False,
     ),
     Chart(
         "rviz-frame", "rviz", "frame", "Frame of rviz2", "time [ms]",

@@ -81,7 +81,7 @@ def ways(splats: Splats, card: bool, quick: bool) -> Iterator[Way]:
 
     given = {"order": "SIDECAR"}
     exact = partial(Way, family="order", settings=given, by=DISPLAY)
-    yield exact("Order Source: Sidecar", order=lambda sorter, camera: sorter.order(camera))
+    yield exact("Order Source: Sidecar", order=orders.Sorter.order)
     for late in (33, 100, 300):
         yield exact(
             f"Order Source: Sidecar, {late} ms late at 30 deg/s", aside=LATE,
@@ -91,7 +91,7 @@ def ways(splats: Splats, card: bool, quick: bool) -> Iterator[Way]:
         "16 bits": orders.linear(16), "12 bits": orders.linear(12), "distance": orders.by_distance,
     }  # fmt: skip
     for name, key in keys.items():
-        yield exact(f"sort keys: {name}", aside=MODEL, order=partial(_keyed, key=key))
+        yield exact(f"sort keys: {name}", aside=MODEL, order=partial(orders.Sorter.keyed, keys=key))
 
     for pixels in (2, 4, 8, 16):
         yield Way(f"Detail: {pixels} px", "Detail", {"detail": f"{pixels}px", "interactive": True})
@@ -167,7 +167,3 @@ def joined(splats: Splats, parts: Sequence[payload.Arrays]) -> Splats:
 
 def _late(sorter: orders.Sorter, camera: Camera, seconds: float) -> orders.Order:
     return sorter.order(turned(camera, -TURNING * seconds))
-
-
-def _keyed(sorter: orders.Sorter, camera: Camera, key: orders.Keys) -> orders.Order:
-    return sorter.keyed(camera, key)
