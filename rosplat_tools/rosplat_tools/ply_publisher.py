@@ -27,7 +27,7 @@ from rosplat_ros.program.parameters import (
     declare_model,
     declare_path,
 )
-from rosplat_ros.program.running import Cancelled, run, spinning, wait_for_end
+from rosplat_ros.program.running import Cancelled, run_node, wait_for_end
 from rosplat_tools.first_views import FirstViews
 
 # Of callbacks: ~/load that sends, one that reads, one that cancels; ~/save, repeat, parameters.
@@ -197,17 +197,14 @@ class PlyPublisher(Node):
 
 
 def main() -> None:
-    """Runs the node until it is told to end; exit code 1 if `path` is no scene."""
-    run("ply_publisher", _publish)
+    run_node("ply_publisher", PlyPublisher, _publish, THREADS)
 
 
-def _publish() -> None:
-    node = PlyPublisher()
-    with spinning(node, THREADS):
-        if not node.path:
-            service = node.resolve_service_name("~/load")
-            node.get_logger().info(f"no path is given: waiting for a call of {service}")
-        else:
-            with contextlib.suppress(Cancelled):  # by ~/load, or by the end of ROS
-                node.load(node.path)
-        wait_for_end(node)
+def _publish(node: PlyPublisher) -> None:
+    if not node.path:
+        service = node.resolve_service_name("~/load")
+        node.get_logger().info(f"no path is given: waiting for a call of {service}")
+    else:
+        with contextlib.suppress(Cancelled):  # by ~/load, or by the end of ROS
+            node.load(node.path)
+    wait_for_end(node)
