@@ -115,13 +115,10 @@ def _scene(path: Path, budget: int, out: Path, quick: bool) -> Iterator[Event]:
             yield Measurement.of("RAM", "MB", peak / 1e6, **common, budget=budget, process=name)
     values: dict[str, list[float]] = {}
     for sight in sights:
-        values.setdefault(sight.when, []).append(_psnr(sight.picture, _truth(scene, sight.camera)))
+        shown, truth = np.clip(sight.picture, 0, 1), _truth(scene, sight.camera)
+        values.setdefault(sight.when, []).append(metrics.psnr(shown, truth))
     for when, found in values.items():
         yield Measurement.of("PSNR", "dB", found, **common, budget=budget, when=when)
-
-
-def _psnr(picture: NDArray[np.float32], truth: Array) -> float:
-    return metrics.psnr(np.clip(picture.astype(np.float64), 0, 1), truth)
 
 
 @dataclass(frozen=True)
