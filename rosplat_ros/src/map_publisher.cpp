@@ -9,7 +9,6 @@
 #include <thread>
 #include <type_traits>
 #include <utility>
-#include <vector>
 
 #include "rosplat_ros/ros_versions.hpp"
 

@@ -6,7 +6,6 @@
 #include <chrono>
 #include <mutex>
 #include <new>
-#include <optional>
 
 #include "pull_client.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"

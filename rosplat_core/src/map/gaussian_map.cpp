@@ -13,7 +13,6 @@
 #include <cmath>
 #include <cstring>
 #include <iterator>
-#include <optional>
 #include <string>
 
 #include "rosplat_core/map/decoded_payload.hpp"

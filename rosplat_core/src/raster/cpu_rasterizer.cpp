@@ -15,7 +15,6 @@
 #include <chrono>
 #include <limits>
 #include <new>
-#include <stdexcept>
 #include <utility>
 
 #include "raster/raster_work.hpp"

@@ -4,7 +4,6 @@
 // and the functions that it lacks. This file and those that include it may include nothing of the
 // standard library but types: the linker might keep one target's copy of a function for all.
 
-#include <cstddef>
 #include <cstdint>
 
 #if defined(__SSE2__)

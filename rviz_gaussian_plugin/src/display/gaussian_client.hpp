@@ -13,7 +13,6 @@
 #include <std_msgs/msg/header.hpp>
 #include <string>
 #include <thread>
-#include <vector>
 
 #include "camera_trail.hpp"
 #include "fair_queue.hpp"

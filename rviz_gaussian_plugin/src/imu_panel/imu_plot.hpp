@@ -2,7 +2,6 @@
 
 #include <qcustomplot.h>
 
-#include <array>
 #include <cstddef>
 #include <vector>
 

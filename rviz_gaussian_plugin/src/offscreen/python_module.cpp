@@ -5,8 +5,6 @@
 #include <pybind11/stl.h>
 
 #include <algorithm>
-#include <memory>
-#include <optional>
 
 #include "offscreen_renderer.hpp"
 #include "rosplat_core/python/bindings.hpp"

@@ -2,7 +2,6 @@
 
 #include <cstdint>
 #include <map>
-#include <memory>
 #include <string>
 #include <utility>
 #include <vector>
@@ -10,10 +9,8 @@
 #include "gl/canvas.hpp"
 #include "gl/overlay.hpp"
 #include "gl/shaders.hpp"
-#include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/painter/painter.hpp"
 #include "rosplat_core/views/camera_motion.hpp"
-#include "rosplat_core/views/render_settings.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
 #include "view_names.hpp"
 

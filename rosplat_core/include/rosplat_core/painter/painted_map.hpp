@@ -17,8 +17,6 @@
 #include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/map/host_slots.hpp"
 #include "rosplat_core/raster/cpu_rasterizer.hpp"
-#include "rosplat_core/views/render_settings.hpp"
-#include "rosplat_core/views/splat_camera.hpp"
 
 namespace rosplat {
 
