@@ -1,13 +1,13 @@
 #include "rosplat_core/levels/level_builder.hpp"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <limits>
 #include <new>
 #include <set>
 #include <utility>
 
+#include "rosplat_core/threads/clock.hpp"
 #include "rosplat_core/threads/give_way.hpp"
 #include "rosplat_core/threads/in_parts.hpp"
 
@@ -17,17 +17,6 @@ namespace {
 
 constexpr double kLeastTime = 0.05;  // of building, even if edits wait [s]
 constexpr std::uint64_t kNever = std::numeric_limits<std::uint64_t>::max();
-
-double seconds() {
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
-
-std::size_t bytesOf(const PackedRun& run) {
-  std::size_t words = run.slots.capacity();
-  for (const auto& band : run.bands) words += band.capacity();
-  for (const auto& channel : run.channels) words += channel.capacity();
-  return words * sizeof(std::uint32_t);
-}
 
 EntryLevels entriesOf(const HostSlots::Page& page) {
   EntryLevels levels;
@@ -75,7 +64,7 @@ std::uint64_t LevelBuilder::apply(PackedRun run, double now) {
     const std::lock_guard lock(mutex_);
     number = ++applied_;
     if (error_.empty()) {
-      runs_bytes_ += bytesOf(run);
+      runs_bytes_ += run.bytes();
       runs_.push_back({std::move(run), now, number});
     }
   }
@@ -115,7 +104,7 @@ std::unique_ptr<LevelsUpdate> LevelBuilder::update(bool wait) {
 std::size_t LevelBuilder::bytes() const {
   const std::lock_guard lock(mutex_);
   std::size_t spare = 0;
-  for (const PackedRun& run : spare_) spare += bytesOf(run);
+  for (const PackedRun& run : spare_) spare += run.bytes();
   return bytes_ + edits_.bytes() + runs_bytes_ + spare;
 }
 
@@ -167,10 +156,7 @@ void LevelBuilder::insert(Run run) {
   insert(edit, run.now, run.number);
   const std::lock_guard lock(mutex_);
   if (!more_) return;
-  spare_.emplace_back();
-  spare_.back().slots = std::move(edit.slots);
-  spare_.back().bands = std::move(edit.bands);
-  spare_.back().channels = std::move(edit.channels);
+  static_cast<SlotArrays&>(spare_.emplace_back()) = std::move(edit);
 }
 
 // Takes over all edits and runs that wait by now, in the order of their numbers.
@@ -189,7 +175,7 @@ void LevelBuilder::takeWaiting() {
     } else {
       Run next = std::move(runs_.front());
       runs_.pop_front();
-      runs_bytes_ -= bytesOf(next.run);
+      runs_bytes_ -= next.run.bytes();
       lock.unlock();
       insert(std::move(next));
     }
@@ -210,26 +196,26 @@ bool LevelBuilder::isInterrupted(bool had_time) const {
 
 // Takes over what waits, then builds nodes; if more waits, only for as long as taking over took.
 void LevelBuilder::build() {
-  const double begin = seconds();
+  const double begin = now();
   takeWaiting();
   {
     const std::lock_guard lock(mutex_);
     if (more_ || !runs_.empty()) return;
   }
-  const double from = seconds();
+  const double from = now();
   const double until = from + std::max(from - begin, kLeastTime);
   std::vector<std::uint32_t> changed;  // pages, since the last handOver()
   double next = from;
   levels_.advance(
-      slots_, [&] { return isInterrupted(seconds() >= until); },
+      slots_, [&] { return isInterrupted(now() >= until); },
       [&](const std::vector<std::uint32_t>& pages) {
         changed.insert(changed.end(), pages.begin(), pages.end());
-        const double start = seconds();
+        const double start = now();
         if (start < next) return;
         handOver(changed);
         changed.clear();
         // It copies the lists of all groups, so it gets a tenth of the time.
-        const double end = seconds();
+        const double end = now();
         next = end + 9 * (end - start);
       });
   if (!changed.empty()) handOver(changed);

@@ -11,38 +11,18 @@ namespace rosplat {
 
 namespace {
 
-template <typename T>
-std::size_t bytesOf(const std::vector<T>& values) {
-  return values.capacity() * sizeof(T);
-}
-
 std::size_t bytesOf(const EditQueue::Waiting& waiting) {
   const GaussianEdit& edit = *waiting.edit;
-  std::size_t bytes = sizeof(waiting) + sizeof(edit) + waiting.state.id.capacity();
-  for (const auto& band : edit.bands) bytes += bytesOf(band);
-  for (const auto& channel : edit.channels) bytes += bytesOf(channel);
-  return bytes + bytesOf(edit.runs) + bytesOf(edit.slots) + bytesOf(edit.extents) +
-         bytesOf(edit.moves);
+  return sizeof(waiting) + sizeof(edit) + waiting.state.id.capacity() + edit.bytes() +
+         edit.runs.capacity() * sizeof(edit.runs[0]) + edit.extents.capacity() * sizeof(float) +
+         edit.moves.capacity() * sizeof(GroupMove);
 }
 
-// The kept ones of elements of `width` values each; count: how many are kept.
-template <typename T>
-std::vector<T> part(const std::vector<T>& values, std::size_t width, const std::vector<bool>& kept,
-                    std::size_t count) {
-  std::vector<T> taken;
-  if (values.empty()) return taken;
-  taken.reserve(width * count);
-  for (std::size_t i = 0; i < kept.size(); ++i) {
-    if (kept[i]) {
-      const auto begin = values.begin() + static_cast<std::ptrdiff_t>(width * i);
-      taken.insert(taken.end(), begin, begin + static_cast<std::ptrdiff_t>(width));
-    }
-  }
-  return taken;
-}
+// Slots by their places in an edit's arrays, ascending: first, count.
+using Places = std::vector<std::pair<std::size_t, std::size_t>>;
 
-// An edit without its slots. rest: a part was taken before, and the clear and moves with it.
-std::shared_ptr<GaussianEdit> frame(const GaussianEdit& edit, bool rest) {
+// An edit of some slots of another. rest: a part was taken before, and the clear and moves with it.
+std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, bool rest, const Places& kept) {
   auto taken = std::make_shared<GaussianEdit>();
   taken->clear = edit.clear && !rest;
   taken->round = edit.round;
@@ -52,63 +32,29 @@ std::shared_ptr<GaussianEdit> frame(const GaussianEdit& edit, bool rest) {
   taken->group = edit.group;
   taken->origin = edit.origin;
   if (!rest) taken->moves = edit.moves;
-  return taken;
-}
-
-// An edit without the slots that aren't kept; count: how many are.
-std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, bool rest,
-                                         const std::vector<bool>& kept, std::size_t count) {
-  const auto taken = frame(edit, rest);
-  std::size_t i = 0;
+  std::size_t begin = 0;  // of a run
+  auto range = kept.begin();
   for (const auto& [first, length] : edit.runs) {
-    bool goes_on = false;
-    for (std::uint32_t k = 0; k < length; ++k, ++i) {
-      if (kept[i] && goes_on) {
-        ++taken->runs.back().second;
-      } else if (kept[i]) {
-        taken->runs.emplace_back(first + k, 1);
-      }
-      goes_on = kept[i];
+    const std::size_t end = begin + length;
+    for (; range != kept.end() && range->first < end; ++range) {
+      const std::size_t from = std::max(begin, range->first), to = range->first + range->second;
+      taken->runs.emplace_back(first + std::uint32_t(from - begin),
+                               std::uint32_t(std::min(end, to) - from));
+      if (to > end) break;  // it goes on in the next run
     }
+    begin = end;
   }
   taken->runs.shrink_to_fit();
-  taken->slots = part(edit.slots, kSlotWords, kept, count);
-  taken->extents = part(edit.extents, 1, kept, count);
-  for (std::size_t band = 1; band < edit.bands.size(); ++band) {
-    taken->bands[band] = part(edit.bands[band], kBandWords[band], kept, count);
-  }
-  for (std::size_t channel = 0; channel < edit.channels.size(); ++channel) {
-    taken->channels[channel] = part(edit.channels[channel], 1, kept, count);
-  }
-  return taken;
-}
-
-// An edit of `count` slots of another, starting at slot number `from` of its runs.
-std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, std::size_t from,
-                                         std::size_t count) {
-  const auto taken = frame(edit, from > 0);
-  std::size_t begin = 0;  // of a run
-  for (const auto& [first, length] : edit.runs) {
-    const std::size_t in_run = std::max(begin, from);
-    const std::size_t end = std::min(begin + length, from + count);
-    if (in_run < end) {
-      taken->runs.emplace_back(first + std::uint32_t(in_run - begin), std::uint32_t(end - in_run));
-    }
-    begin += length;
-  }
-  const auto of = [&](const auto& values, std::size_t width, auto& to) {
+  const auto copy = [&](const auto& values, auto& to, std::size_t width) {
     if (values.empty()) return;
-    const auto at = values.begin() + std::ptrdiff_t(width * from);
-    to.assign(at, at + std::ptrdiff_t(width * count));
+    to.reserve(width * countSlots(taken->runs));
+    for (const auto& [first, count] : kept) {
+      const auto at = values.begin() + std::ptrdiff_t(width * first);
+      to.insert(to.end(), at, at + std::ptrdiff_t(width * count));
+    }
   };
-  of(edit.slots, kSlotWords, taken->slots);
-  of(edit.extents, 1, taken->extents);
-  for (std::size_t band = 1; band < edit.bands.size(); ++band) {
-    of(edit.bands[band], std::size_t(kBandWords[band]), taken->bands[band]);
-  }
-  for (std::size_t channel = 0; channel < edit.channels.size(); ++channel) {
-    of(edit.channels[channel], 1, taken->channels[channel]);
-  }
+  copy(edit.extents, taken->extents, 1);
+  forEachArray(edit, *taken, copy);
   return taken;
 }
 
@@ -160,7 +106,7 @@ EditQueue::Node EditQueue::take(std::size_t most_bytes) {
   if (oldest.taken == 0 && bytes <= most_bytes) return popNode();
   const std::size_t count =
       std::min(std::max<std::size_t>(most_bytes / (bytes / slots), 1), slots - oldest.taken);
-  Node taken = node(part(*oldest.edit, oldest.taken, count), oldest.state, oldest.now);
+  Node taken = node(part(*oldest.edit, oldest.taken > 0, {{oldest.taken, count}}), oldest.state, oldest.now);
   oldest.taken += count;
   if (oldest.taken == slots) {
     popNode();
@@ -193,17 +139,20 @@ void EditQueue::coalesce() {
     const std::shared_ptr<const GaussianEdit> held = waiting->edit;  // while a part replaces it
     const GaussianEdit& edit = *held;
     later.makeRoom(edit.runs);
-    const std::size_t taken = waiting->taken;
-    std::vector<bool> kept(countSlots(edit.runs));
-    std::size_t i = kept.size(), count = 0;
+    const std::size_t taken = waiting->taken, slots = countSlots(edit.runs);
+    Places kept;
+    std::size_t i = slots, count = 0;
     // Backwards, because the last entry counts if a slot is listed twice.
     for (auto run = edit.runs.rbegin(); run != edit.runs.rend(); ++run) {
       for (std::uint32_t k = run->second; k > 0; --k) {
-        --i;
-        kept[i] = i >= taken && !later.set(run->first + k - 1, true);
-        count += kept[i];
+        if (--i < taken || later.set(run->first + k - 1, true)) continue;
+        if (kept.empty() || kept.back().first != i + 1) kept.emplace_back(i + 1, 0);
+        --kept.back().first;
+        ++kept.back().second;
+        ++count;
       }
     }
+    std::reverse(kept.begin(), kept.end());
     bool moves = !edit.moves.empty() && taken == 0;
     if (moves && next_move != waiting_.end() &&
         std::none_of(edit.moves.begin(), edit.moves.end(),
@@ -221,8 +170,8 @@ void EditQueue::coalesce() {
       waiting_.erase(waiting);
       continue;
     }
-    if (count < kept.size() - taken) {
-      auto rest = part(edit, taken > 0, kept, count);
+    if (count < slots - taken) {
+      auto rest = part(edit, taken > 0, kept);
       bytes_ -= bytesOf(*waiting);
       waiting->edit = std::move(rest);
       waiting->taken = 0;

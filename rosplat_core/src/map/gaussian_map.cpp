@@ -306,6 +306,14 @@ class SlotUse {
 
 }  // namespace
 
+std::size_t SlotArrays::bytes() const {
+  std::size_t words = 0;
+  forEachArray(*this, *this, [&words](const auto& array, const auto&, std::size_t) {
+    words += array.capacity();
+  });
+  return words * sizeof(std::uint32_t);
+}
+
 std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batch,
                                                        BatchReport& report, const OnEdit& on_edit) {
   const std::lock_guard one_by_one(locks_.applying);
@@ -494,9 +502,7 @@ GaussianEdit editOf(PackedRun run, ThreadTeam* team) {
   edit.origin = run.group.originOrZero();
   edit.runs = {{run.first_slot, static_cast<std::uint32_t>(count)}};
   edit.sh_degree = run.sh_degree;
-  edit.slots = std::move(run.slots);
-  edit.bands = std::move(run.bands);
-  edit.channels = std::move(run.channels);
+  static_cast<SlotArrays&>(edit) = std::move(run);
   edit.extents.resize(count);
   constexpr std::size_t kPart = 4096;
   inParts(team, (count + kPart - 1) / kPart, [&](std::size_t part) {
@@ -508,7 +514,7 @@ GaussianEdit editOf(PackedRun run, ThreadTeam* team) {
   });
   std::size_t used = count;  // one past the last slot in use
   while (used > 0 && (edit.slots[kSlotWords * (used - 1) + 3] & 0xffffu) == 0) --used;
-  if (used > 0) edit.capacity = run.first_slot + static_cast<std::uint32_t>(used);
+  if (used > 0) edit.capacity = edit.runs[0].first + static_cast<std::uint32_t>(used);
   return edit;
 }
 

@@ -229,7 +229,7 @@ std::vector<SplatValues> HostSlots::read(const std::vector<std::uint32_t>& slots
 }
 
 GaussianEdit HostSlots::edit(const SlotPage& of) const {
-  PackedRun run{pages_.groupOf(of), of.first_slot, sh_degree_, {}, {}, {}};
+  PackedRun run{{}, pages_.groupOf(of), of.first_slot, sh_degree_};
   run.slots.resize(kSlots * kSlotWords);
   at(of).interleave(0, run.slots.data());
   for (int band = 1; band <= sh_degree_; ++band) {

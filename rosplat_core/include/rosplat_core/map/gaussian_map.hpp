@@ -24,9 +24,30 @@ class ThreadTeam;
 
 constexpr std::uint32_t kMaxSlots = 1u << 25;  // as GaussianArray.MAX_SLOTS
 
+// Slots as packed_slot.hpp has them.
+struct SlotArrays {
+  std::vector<std::uint32_t> slots;                                // kSlotWords a slot
+  std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;  // kBandWords[band] a slot
+  std::array<std::vector<float>, kMostChannels> channels;          // a value a slot, or empty
+
+  std::size_t bytes() const;
+};
+
+// Calls each(array, the same array of others, values a slot) for all arrays.
+template <typename Arrays, typename Others, typename Each>
+void forEachArray(Arrays& arrays, Others& others, const Each& each) {
+  each(arrays.slots, others.slots, std::size_t(kSlotWords));
+  for (std::size_t band = 1; band < arrays.bands.size(); ++band) {
+    each(arrays.bands[band], others.bands[band], std::size_t(kBandWords[band]));
+  }
+  for (std::size_t channel = 0; channel < arrays.channels.size(); ++channel) {
+    each(arrays.channels[channel], others.channels[channel], std::size_t(1));
+  }
+}
+
 // A checked batch, laid out for the GPU and for sorting. Emptied slots have opacity 0 and extent
 // -1.
-struct GaussianEdit {
+struct GaussianEdit : SlotArrays {
   bool clear = false;          // empty the map first
   std::uint64_t round = 0;     // as MapState::round
   std::uint64_t revision = 0;  // of the map afterwards
@@ -35,11 +56,8 @@ struct GaussianEdit {
   // The arrays hold the slots of the runs in turn. If slots are only emptied, the arrays are empty,
   // and the runs are cut to the pages that the map has.
   SlotRuns runs;
-  std::uint32_t group = 0;           // of all splats written
-  std::array<double, 3> origin{};    // of that group, in its frame [m]
-  std::vector<std::uint32_t> slots;  // kSlotWords a slot
-  std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;  // kBandWords[band] a slot
-  std::array<std::vector<float>, kMostChannels> channels;          // a value a slot, or empty
+  std::uint32_t group = 0;         // of all splats written
+  std::array<double, 3> origin{};  // of that group, in its frame [m]
   std::vector<float> extents;    // radius of the 1/255 ellipsoid along its longest axis [m], or -1
   std::vector<GroupMove> moves;  // each group once
 
@@ -52,13 +70,10 @@ struct GaussianEdit {
 };
 
 // Consecutive slots of a group, packed already.
-struct PackedRun {
+struct PackedRun : SlotArrays {
   Group group;
   std::uint32_t first_slot = 0;
   int sh_degree = 0;
-  std::vector<std::uint32_t> slots;  // this and the rest as in GaussianEdit
-  std::array<std::vector<std::uint32_t>, kMaxShDegree + 1> bands;
-  std::array<std::vector<float>, kMostChannels> channels;
 };
 
 // An edit that writes a run to a map that lacks these slots. team: threads that help.
