@@ -12,7 +12,6 @@
 
 #include <algorithm>
 #include <iterator>
-#include <limits>
 #include <utility>
 
 #include "rosplat_core/threads/in_parts.hpp"
@@ -129,11 +128,8 @@ void append(std::vector<Cell>& cells, Cell cell) {
 }  // namespace
 
 NodePage::NodePage(int sh_degree, std::uint32_t group) : sh_degree_(sh_degree) {
-  constexpr float infinity = std::numeric_limits<float>::infinity();
   bounds.first_slot = kNoSlot;
   bounds.group = group;
-  bounds.least.fill(infinity);
-  bounds.most.fill(-infinity);
   slots.extent.fill(-1);
 }
 
@@ -142,12 +138,8 @@ void NodePage::add(Cell cell, const PackedSlot& packed, const std::uint32_t* mem
   const std::size_t i = cells.size();
   slots.put(i, packed, sh_degree_);
   slots.extent[i] = nodeExtentOf(packed);
-  bounds.extent = std::max(bounds.extent, slots.extent[i]);
-  for (std::size_t axis = 0; axis < 3; ++axis) {
-    const float x = slots.position[axis][i];
-    bounds.least[axis] = std::min(bounds.least[axis], x);
-    bounds.most[axis] = std::max(bounds.most[axis], x);
-  }
+  const auto& [x, y, z] = slots.position;
+  bounds.widen({x[i], y[i], z[i]}, slots.extent[i]);
   cells.push_back(cell);
   members_.insert(members_.end(), members, members + count);
   ends_.push_back(static_cast<std::uint32_t>(members_.size()));
@@ -170,27 +162,23 @@ std::size_t NodePage::bytes() const {
 
 void Levels::mark(const HostSlots& slots, const SlotRuns& runs) {
   if (!begun_) return;
-  for (const auto& [first, count] : runs) {
-    for (std::uint32_t slot = first, next; slot < first + count; slot = next) {
-      next = std::min(first + count, slot - slot % kSlots + kSlots);
-      const SlotPage* const page = slots.index().find(slot);
-      if (!page) continue;
-      known_.resize(std::max(known_.size(), std::size_t(page->place) + 1));
-      std::unique_ptr<Known>& known = known_[page->place];
-      if (!known) {
-        known = std::make_unique<Known>();
-        known->group = page->group;
-        known->cells.fill(kNoCell);
-      }
-      if (known->marked.none()) marked_[known->group].push_back(page->first_slot);
-      if (known->group != page->group) known->marked.set();
-      if (next - slot == kSlots) {
-        known->marked.set();
-      } else {
-        for (; slot < next; ++slot) known->marked.set(slot % kSlots);
-      }
+  forEachPart(runs, [&](std::uint32_t slot, std::uint32_t count, std::size_t) {
+    const SlotPage* const page = slots.index().find(slot);
+    if (!page) return;
+    known_.resize(std::max(known_.size(), std::size_t(page->place) + 1));
+    std::unique_ptr<Known>& known = known_[page->place];
+    if (!known) {
+      known = std::make_unique<Known>();
+      known->group = page->group;
+      known->cells.fill(kNoCell);
     }
-  }
+    if (known->marked.none()) marked_[known->group].push_back(page->first_slot);
+    if (known->group != page->group || count == kSlots) {
+      known->marked.set();
+    } else {
+      for (std::uint32_t i = 0; i < count; ++i) known->marked.set(slot % kSlots + i);
+    }
+  });
 }
 
 void Levels::clear() {

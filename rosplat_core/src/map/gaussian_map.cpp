@@ -393,12 +393,9 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   use.keep();
   if (edit->clear) used_ = std::move(fresh);
   if (writes(batch)) {
-    for (const auto& [first, count] : edit->runs) {
-      for (std::uint32_t slot = first - first % SlotSet::kPage; slot < first + count;
-           slot += SlotSet::kPage) {
-        block_groups_[slot / SlotSet::kPage] = static_cast<std::uint16_t>(batch.group);
-      }
-    }
+    forEachPart(edit->runs, [&](std::uint32_t slot, std::uint32_t, std::size_t) {
+      block_groups_[slot / SlotSet::kPage] = static_cast<std::uint16_t>(batch.group);
+    });
   }
   const std::lock_guard lock(locks_.exchanging);
   state_ = std::move(next);
@@ -475,14 +472,12 @@ std::vector<std::array<double, 3>> GaussianMap::samplePositions() const {
 std::vector<std::uint32_t> GaussianMap::blocksOfOthers(const SlotSet& used, const SlotRuns& runs,
                                                        const GaussianBatch& batch) const {
   std::vector<std::uint32_t> blocks;
-  for (const auto& [first, count] : runs) {
-    for (std::uint32_t block = first / SlotSet::kPage; block * SlotSet::kPage < first + count;
-         ++block) {
-      if (block < block_groups_.size() && block_groups_[block] != batch.group && used.any(block)) {
-        blocks.push_back(block * SlotSet::kPage);
-      }
+  forEachPart(runs, [&](std::uint32_t slot, std::uint32_t, std::size_t) {
+    const std::uint32_t block = slot / SlotSet::kPage;
+    if (block < block_groups_.size() && block_groups_[block] != batch.group && used.any(block)) {
+      blocks.push_back(block * SlotSet::kPage);
     }
-  }
+  });
   std::sort(blocks.begin(), blocks.end());
   blocks.erase(std::unique(blocks.begin(), blocks.end()), blocks.end());
   if (batch.arrival == Arrival::kHeard && !blocks.empty()) {

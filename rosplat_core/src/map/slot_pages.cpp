@@ -20,12 +20,10 @@ std::uint32_t firstSlotOfPage(std::uint32_t slot) { return slot - slot % SlotPag
 
 std::vector<std::uint32_t> SlotPages::touched(const GaussianEdit& edit) {
   std::vector<std::uint32_t> pages;
-  for (const auto& [first, count] : edit.runs) {
-    for (std::uint32_t page = firstSlotOfPage(first); page < first + count;
-         page += SlotPage::kSlots) {
-      if (pages.empty() || pages.back() != page) pages.push_back(page);
-    }
-  }
+  forEachPart(edit.runs, [&pages](std::uint32_t slot, std::uint32_t, std::size_t) {
+    const std::uint32_t page = firstSlotOfPage(slot);
+    if (pages.empty() || pages.back() != page) pages.push_back(page);
+  });
   std::sort(pages.begin(), pages.end());
   pages.erase(std::unique(pages.begin(), pages.end()), pages.end());
   return pages;
@@ -46,28 +44,13 @@ void SlotPages::apply(const GaussianEdit& edit) {
   const std::uint32_t group = writes ? groups_.write(edit.group, edit.origin) : 0;
   emptied_.clear();
   if (edit.clear) pages_.clear();
-  std::size_t i = 0;
-  for (const auto& [first, count] : edit.runs) {
-    std::uint32_t slot = first, left = count;
-    while (left > 0) {
-      const std::uint32_t in_page = std::min(left, SlotPage::kSlots - slot % SlotPage::kSlots);
-      if (writes) {
-        SlotPage& of = page(firstSlotOfPage(slot), group);
-        for (std::size_t k = i; k < i + in_page; ++k) {
-          if (edit.extents[k] < 0) continue;
-          of.extent = std::max(of.extent, edit.extents[k]);
-          const std::array<float, 3> position = edit.position(k);
-          for (std::size_t axis = 0; axis < 3; ++axis) {
-            of.least[axis] = std::min(of.least[axis], position[axis]);
-            of.most[axis] = std::max(of.most[axis], position[axis]);
-          }
-        }
-      }
-      slot += in_page;
-      left -= in_page;
-      i += in_page;
+  if (!writes) return;
+  forEachPart(edit.runs, [&](std::uint32_t slot, std::uint32_t count, std::size_t source) {
+    SlotPage& of = page(firstSlotOfPage(slot), group);
+    for (std::size_t i = source; i < source + count; ++i) {
+      if (edit.extents[i] >= 0) of.widen(edit.position(i), edit.extents[i]);
     }
-  }
+  });
 }
 
 const SlotPage* SlotPages::find(std::uint32_t slot) const {
@@ -89,13 +72,10 @@ SlotPage& SlotPages::page(std::uint32_t first_slot, std::uint32_t group) {
   const auto at = firstFrom(pages_, first_slot);
   const bool known = at != pages_.end() && at->first_slot == first_slot;
   if (known && at->group == group) return *at;
-  constexpr float infinity = std::numeric_limits<float>::infinity();
   SlotPage fresh;
   fresh.first_slot = first_slot;
   fresh.place = known ? at->place : static_cast<std::uint32_t>(pages_.size());
   fresh.group = group;
-  fresh.least.fill(infinity);
-  fresh.most.fill(-infinity);
   if (!known) return *pages_.insert(at, fresh);
   emptied_.push_back(first_slot);
   return *at = fresh;

@@ -192,19 +192,14 @@ void VoxelMap::joinOverlaps(std::vector<PageSpan>& parts) {
 // The slots that an edit changes, none twice: it writes slots, empties slots or moves groups.
 std::vector<VoxelMap::PageSpan> VoxelMap::partsOf(const GaussianEdit& edit) const {
   std::vector<PageSpan> parts;
-  for (const auto& [first, count] : edit.runs) {
-    for (std::uint32_t done = 0, in_page; done < count; done += in_page) {
-      const std::uint32_t slot = first + done, at = slot % SlotPage::kSlots;
-      in_page = std::min(count - done, SlotPage::kSlots - at);
-      if (const SlotPage* const page = slots_.index().find(slot)) {
-        // Splats of another group empty a page as a whole.
-        const bool emptied =
-            edit.sh_degree >= 0 && slots_.index().groupOf(*page).number != edit.group;
-        parts.push_back(emptied ? PageSpan{page, 0, SlotPage::kSlots}
-                                : PageSpan{page, at, in_page});
-      }
-    }
-  }
+  forEachPart(edit.runs, [&](std::uint32_t slot, std::uint32_t count, std::size_t) {
+    const SlotPage* const page = slots_.index().find(slot);
+    if (!page) return;
+    // Splats of another group empty a page as a whole.
+    const bool emptied = edit.sh_degree >= 0 && slots_.index().groupOf(*page).number != edit.group;
+    parts.push_back(emptied ? PageSpan{page, 0, SlotPage::kSlots}
+                            : PageSpan{page, slot % SlotPage::kSlots, count});
+  });
   joinOverlaps(parts);
   if (edit.moves.empty()) return parts;
   std::vector<std::uint32_t> moved;

@@ -34,33 +34,25 @@ SplatRows::Runs SplatRows::apply(const GaussianEdit& edit) {
     std::fill_n(&extents_[row], SlotPage::kSlots, -1.0f);
     changed.emplace_back(row, SlotPage::kSlots);
   }
-  std::size_t source = 0;
-  for (const auto& [first, run_count] : edit.runs) {
-    std::uint32_t slot = first, left = run_count;
-    while (left > 0) {
-      const std::uint32_t count = std::min(left, SlotPage::kSlots - slot % SlotPage::kSlots);
-      if (const SlotPage* const page = pages_.find(slot)) {
-        const std::size_t row = rowOf(*page) + slot % SlotPage::kSlots;
-        if (writes) {
-          for (std::size_t i = 0; i < count; ++i) {
-            const std::array<float, 3> position = edit.position(source + i);
-            std::copy_n(position.data(), 3, &positions_[3 * (row + i)]);
-          }
-          std::copy_n(&edit.extents[source], count, &extents_[row]);
-        } else {
-          std::fill_n(&extents_[row], count, -1.0f);
-        }
-        if (!changed.empty() && changed.back().first + changed.back().second == row) {
-          changed.back().second += count;
-        } else {
-          changed.emplace_back(row, count);
-        }
+  forEachPart(edit.runs, [&](std::uint32_t slot, std::uint32_t count, std::size_t source) {
+    const SlotPage* const page = pages_.find(slot);
+    if (!page) return;
+    const std::size_t row = rowOf(*page) + slot % SlotPage::kSlots;
+    if (writes) {
+      for (std::size_t i = 0; i < count; ++i) {
+        const std::array<float, 3> position = edit.position(source + i);
+        std::copy_n(position.data(), 3, &positions_[3 * (row + i)]);
       }
-      slot += count;
-      left -= count;
-      source += count;
+      std::copy_n(&edit.extents[source], count, &extents_[row]);
+    } else {
+      std::fill_n(&extents_[row], count, -1.0f);
     }
-  }
+    if (!changed.empty() && changed.back().first + changed.back().second == row) {
+      changed.back().second += count;
+    } else {
+      changed.emplace_back(row, count);
+    }
+  });
   if (edit.clear) changed.assign(rows > 0 ? 1 : 0, {0, rows});  // all rows are new
   return changed;
 }

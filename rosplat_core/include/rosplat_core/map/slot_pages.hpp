@@ -1,7 +1,9 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "rosplat_core/map/gaussian_map.hpp"
@@ -18,8 +20,20 @@ struct SlotPage {
   std::uint32_t place = 0;  // 0, 1, 2, ... in the order in which pages came
   std::uint32_t group = 0;  // index of the group that all its slots are of
   // Bounds of the centres of all visible splats it ever had, relative to the group's origin. [m]
-  std::array<float, 3> least, most;
+  std::array<float, 3> least{kInfinity, kInfinity, kInfinity};
+  std::array<float, 3> most{-kInfinity, -kInfinity, -kInfinity};
   float extent = -1;  // the largest of these splats [m], -1 if none could ever be seen
+
+  void widen(const std::array<float, 3>& position, float by) {
+    extent = std::max(extent, by);
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      least[axis] = std::min(least[axis], position[axis]);
+      most[axis] = std::max(most[axis], position[axis]);
+    }
+  }
+
+ private:
+  static constexpr float kInfinity = std::numeric_limits<float>::infinity();
 };
 
 // The pages of a map's slots, and the groups that the pages belong to. Authors number slots as they

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <bitset>
 #include <cstddef>
 #include <cstdint>
@@ -17,6 +18,18 @@ template <typename Visit>
 void forEachSlot(const SlotRuns& runs, Visit visit) {
   for (const auto& [first, count] : runs) {
     for (std::uint32_t i = 0; i < count; ++i) visit(first + i);
+  }
+}
+
+// Calls visit(first slot, count, how many slots come before) for parts of runs, each in one page.
+template <typename Visit>
+void forEachPart(const SlotRuns& runs, Visit visit) {
+  std::size_t before = 0;
+  for (const auto& [first, length] : runs) {
+    for (std::uint32_t done = 0, count; done < length; done += count, before += count) {
+      count = std::min(length - done, kPageSlots - (first + done) % kPageSlots);
+      visit(first + done, count, before);
+    }
   }
 }
 

@@ -69,37 +69,26 @@ void SlotStore::empty(const SlotPage& page) {
 std::vector<SlotStore::Piece> SlotStore::pieces(const GaussianEdit& edit) {
   held_.resize(pages_.pages().size());
   std::vector<Piece> pieces;
-  std::size_t source = 0;
-  for (const auto& [run_first, run_count] : edit.runs) {
-    std::uint32_t slot = run_first, left = run_count;
-    while (left > 0) {
-      const std::uint32_t in_page = slot % SlotPage::kSlots;
-      const std::uint32_t count = std::min(left, SlotPage::kSlots - in_page);
-      const SlotPage* const page = pages_.find(slot);
-      if (page && (edit.sh_degree >= 0 || holds(*page))) {
-        const Place place = placeOf(*page);
-        Arena& arena = arenas_[place.arena];
-        if (edit.sh_degree >= 0 && page->place < coarsest_.size()) {
-          coarsest_[page->place] = kNoLevel;
-        }
-        if (!holds(*page)) {
-          if (count < SlotPage::kSlots) empty(*page);
-          held_[page->place] = true;
-        }
-        const std::size_t first = std::size_t{place.page} * SlotPage::kSlots + in_page;
-        Piece* const last = pieces.empty() ? nullptr : &pieces.back();
-        if (last && last->arena == &arena && last->first + last->count == first &&
-            last->source + last->count == source) {
-          last->count += count;
-        } else {
-          pieces.push_back({&arena, first, source, count});
-        }
-      }
-      slot += count;
-      left -= count;
-      source += count;
+  forEachPart(edit.runs, [&](std::uint32_t slot, std::uint32_t count, std::size_t source) {
+    const SlotPage* const page = pages_.find(slot);
+    if (!page || (edit.sh_degree < 0 && !holds(*page))) return;
+    const Place place = placeOf(*page);
+    Arena& arena = arenas_[place.arena];
+    if (edit.sh_degree >= 0 && page->place < coarsest_.size()) coarsest_[page->place] = kNoLevel;
+    if (!holds(*page)) {
+      if (count < SlotPage::kSlots) empty(*page);
+      held_[page->place] = true;
     }
-  }
+    const std::size_t first =
+        std::size_t{place.page} * SlotPage::kSlots + slot % SlotPage::kSlots;
+    Piece* const last = pieces.empty() ? nullptr : &pieces.back();
+    if (last && last->arena == &arena && last->first + last->count == first &&
+        last->source + last->count == source) {
+      last->count += count;
+    } else {
+      pieces.push_back({&arena, first, source, count});
+    }
+  });
   return pieces;
 }
 
