@@ -89,7 +89,7 @@ float nodeExtentOf(const PackedSlot& node) {
 
 Mixture::Mixture(Cell cell, int sh_degree)
     : sh_degree_(sh_degree),
-      coefficients_(3 * ((sh_degree + 1) * (sh_degree + 1) - 1)),
+      coefficients_(harmonicsOf(sh_degree) - 3),
       corner_(cornerOf(cell)),
       size_(cellSize(levelOf(cell))) {}
 
@@ -124,7 +124,7 @@ void Mixture::add(const PackedSlot& slot, float opacity_unit) {
   }
   std::array<float, 45> sh;
   unpackHarmonics(slot.words.data(), sh_degree_, slot.bandWords(), sh.data());
-  for (int i = 0; i < coefficients_; ++i) sh_[std::size_t(i)] += float(mass) * sh[std::size_t(i)];
+  for (std::size_t i = 0; i < coefficients_; ++i) sh_[i] += float(mass) * sh[i];
 }
 
 PackedSlot Mixture::pack() const {
@@ -159,9 +159,7 @@ PackedSlot Mixture::pack() const {
   splat.opacity = std::max(float(mass_ / areaOf(covariance)) / kMostNodeOpacity, kLeastOpacity);
 
   std::array<float, 45> sh;
-  for (int i = 0; i < coefficients_; ++i) {
-    sh[std::size_t(i)] = sh_[std::size_t(i)] / float(mass_);
-  }
+  for (std::size_t i = 0; i < coefficients_; ++i) sh[i] = sh_[i] / float(mass_);
   std::array<std::uint32_t*, kMaxShDegree + 1> bands{};
   for (std::size_t band = 1; band < bands.size(); ++band) bands[band] = node.bands[band].data();
   packSlot(splat, sh.data(), sh_degree_, node.words.data(), bands);

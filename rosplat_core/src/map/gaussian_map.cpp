@@ -15,9 +15,9 @@
 #include <iterator>
 #include <string>
 
-#include "rosplat_core/map/decoded_payload.hpp"
 #include "rosplat_core/slots/packed_rows.hpp"
 #include "rosplat_core/slots/payload_format.hpp"
+#include "rosplat_core/slots/splats.hpp"
 #include "rosplat_core/threads/in_parts.hpp"
 
 namespace rosplat {
@@ -74,20 +74,18 @@ std::vector<GroupMove> movesOf(const GaussianBatch& batch) {
   return moves;
 }
 
-PayloadFormat formatOf(const GaussianBatch& batch) {
+// Returns what a function returns. An argument that it calls invalid is a batch's.
+template <typename Function>
+auto ofBatch(const Function& function) {
   try {
-    return payloadFormat(batch.format);
+    return function();
   } catch (const std::invalid_argument& error) {
     throw BatchError(error.what());
   }
 }
 
-void checkModel(const GaussianBatch& batch) {
-  try {
-    modelOf(batch.model);
-  } catch (const std::invalid_argument& error) {
-    throw BatchError(error.what());
-  }
+PayloadFormat formatOf(const GaussianBatch& batch) {
+  return ofBatch([&] { return payloadFormat(batch.format); });
 }
 
 void check(const GaussianBatch& batch) {
@@ -100,7 +98,7 @@ void check(const GaussianBatch& batch) {
   if (batch.sh_degree > kMaxShDegree) {
     throw BatchError("sh_degree " + std::to_string(batch.sh_degree) + " is beyond 3");
   }
-  checkModel(batch);
+  ofBatch([&] { return modelOf(batch.model); });
   for (double v : batch.origin) {
     if (!std::isfinite(v)) throw BatchError("origin is not finite");
   }
@@ -122,7 +120,6 @@ void check(const GaussianBatch& batch) {
     throw BatchError("groups and poses are a MOVE's alone");
   }
   const bool values = writes(batch);
-  const std::size_t coefficients = 3u * (batch.sh_degree + 1u) * (batch.sh_degree + 1u);
   if (!values && packed) throw BatchError("format is for batches with splats");
   checkLength("payload", batch.payload.size, packed ? format.size(n, batch.sh_degree) : 0);
   const std::size_t splats = values && !packed ? n : 0;  // in arrays
@@ -130,7 +127,7 @@ void check(const GaussianBatch& batch) {
   checkLength("orientations", batch.orientations.size, 4 * splats);
   checkLength("scales", batch.scales.size, 3 * splats);
   checkLength("opacities", batch.opacities.size, splats);
-  checkLength("sh", batch.sh.size, coefficients * splats);
+  checkLength("sh", batch.sh.size, harmonicsOf(batch.sh_degree) * splats);
   joined({}, batch.channel_names);
   if (!values && !batch.channel_names.empty()) {
     throw BatchError("channel_names are for batches with splats");
@@ -201,41 +198,36 @@ std::vector<bool> layOutRows(const GaussianBatch& batch, const std::array<double
   return kept;
 }
 
+// The arrays of a batch; memory: for those of its payload, if it has one.
+SplatArrays<const float> arraysOf(const GaussianBatch& batch, Splats& memory) {
+  if (batch.format.empty()) {
+    return {batch.count,           batch.sh_degree,      batch.positions.data, batch.orientations.data,
+            batch.scales.data,     batch.opacities.data, batch.sh.data};
+  }
+  const SplatArrays<float> arrays = memory.resize(batch.count, batch.sh_degree);
+  ofBatch([&] { return formatOf(batch).decode(batch.payload.data, arrays); });
+  return memory.view().arrays;
+}
+
 // Does the same with the arrays of a batch.
 std::vector<bool> layOut(const GaussianBatch& batch, const std::array<double, 3>& origin, bool flat,
                          GaussianEdit& edit) {
   const std::size_t n = batch.count;
   std::vector<bool> kept(n, false);
-  const SplatArrays<const float> splats{
-      n,
-      batch.sh_degree,
-      batch.positions.data,
-      batch.orientations.data,
-      batch.scales.data,
-      batch.opacities.data,
-      batch.sh.data,
-  };
+  Splats memory;
+  const SplatArrays<const float> splats = arraysOf(batch, memory);
   const bool rebase = batch.origin != origin;
   for (std::size_t i = 0; i < n; ++i) {
-    const float* q = &batch.orientations.data[4 * i];
-    const float* scale = &batch.scales.data[3 * i];
-    const float* sh = batch.sh.data + splats.shStride() * i;
-    float position[3];
-    for (int k = 0; k < 3; ++k) {
-      position[k] =
-          rebase
-              ? static_cast<float>(double(batch.positions[3 * i + k]) + batch.origin[k] - origin[k])
-              : batch.positions[3 * i + k];
+    Splat splat = splatAt(splats, i);
+    for (int k = 0; rebase && k < 3; ++k) {
+      splat.position[k] =
+          static_cast<float>(double(splat.position[k]) + batch.origin[k] - origin[k]);
     }
-    kept[i] = isUsable(splats, i, position);
+    kept[i] = isUsable(splats, i, splat.position.data());
     if (!kept[i]) continue;
-    Splat splat;
-    std::copy_n(position, 3, splat.position.begin());
-    std::copy_n(q, 4, splat.orientation.begin());
-    std::copy_n(scale, 3, splat.scale.begin());
     if (flat) splat.scale[2] = 0;
-    std::copy_n(sh, 3, splat.color.begin());
-    splat.opacity = std::clamp(batch.opacities[i], 0.0f, 1.0f);
+    splat.opacity = std::clamp(splat.opacity, 0.0f, 1.0f);
+    const float* const sh = splats.sh + splats.shStride() * i;
     std::array<std::uint32_t*, kMaxShDegree + 1> bands{};
     for (int band = 1; band <= edit.sh_degree; ++band) {
       bands[band] = &edit.bands[band][kBandWords[band] * i];
@@ -444,8 +436,7 @@ std::vector<bool> GaussianMap::layOutSplats(const GaussianBatch& batch, MapState
   if (batch.format == packed_rows::kFormat) {
     kept = layOutRows(batch, edit.origin, flat, edit);
   } else {
-    DecodedPayload decoded;
-    kept = layOut(decoded.decode(batch), edit.origin, flat, edit);
+    kept = layOut(batch, edit.origin, flat, edit);
   }
   if (batch.count > 0) {
     next.channels = joined(std::move(next.channels), batch.channel_names);

@@ -5,7 +5,6 @@
 #include <cstring>
 #include <utility>
 
-#include "map/harmonics.hpp"
 #include "rosplat_core/map/channels.hpp"
 #include "rosplat_core/slots/packed_rows.hpp"
 #include "rosplat_core/slots/packed_slot.hpp"
@@ -45,31 +44,17 @@ bool PageSplats::write(std::size_t at, const SplatsView& splats, std::size_t i,
     std::copy_n(source, known, row);
     std::memcpy(row, position.data(), sizeof(position));
   } else {
-    Splat splat;
+    Splat splat = splatAt(from, i);
     splat.position = position;
-    std::copy_n(from.orientations + 4 * i, 4, splat.orientation.begin());
-    std::copy_n(from.scales + 3 * i, 3, splat.scale.begin());
-    const float* const sh = from.sh + from.shStride() * i;
-    std::copy_n(sh, 3, splat.color.begin());
-    splat.opacity = from.opacities[i];
-    packSlot(splat, sh + 3, std::min(from.sh_degree, sh_degree_), row, bandsOf(row));
+    packSlot(splat, from.sh + from.shStride() * i + 3, std::min(from.sh_degree, sh_degree_), row,
+             bandsOf(row));
   }
   std::fill(row + known, row + rowWords(sh_degree_), 0u);
   return true;
 }
 
-void PageSplats::read(std::size_t at, std::size_t i, int sh_degree, Splats& to) const {
-  const std::uint32_t* const row = rows_ + rowWords(sh_degree_) * at;
-  const Splat splat = unpackSlot(row);
-  std::copy_n(splat.position.begin(), 3, &to.positions[3 * i]);
-  std::copy_n(splat.orientation.begin(), 4, &to.orientations[4 * i]);
-  std::copy_n(splat.scale.begin(), 3, &to.scales[3 * i]);
-  to.opacities[i] = splat.opacity;
-  float* const sh = &to.sh[harmonicsOf(sh_degree) * i];
-  std::copy_n(splat.color.begin(), 3, sh);
-  const int known = std::min(sh_degree, sh_degree_);
-  unpackHarmonics(row, known, bandsOf(row), sh + 3);
-  std::fill(sh + harmonicsOf(known), sh + harmonicsOf(sh_degree), 0.0f);
+void PageSplats::read(std::size_t at, std::size_t i, const SplatArrays<float>& to) const {
+  packed_rows::unpack(rows_ + rowWords(sh_degree_) * at, sh_degree_, to, i);
 }
 
 void PageSplats::readRow(std::size_t at, int sh_degree, void* to) const {

@@ -30,8 +30,8 @@ class PageSplats {
   bool write(std::size_t at, const SplatsView& splats, std::size_t i,
              const std::array<float, 3>& position);
 
-  // Writes the splat of slot `at` to the i-th place of arrays, with bands up to sh_degree.
-  void read(std::size_t at, std::size_t i, int sh_degree, Splats& to) const;
+  // Writes the splat of slot `at` to the i-th place of arrays.
+  void read(std::size_t at, std::size_t i, const SplatArrays<float>& to) const;
   // Writes the row of slot `at`, with bands up to sh_degree.
   void readRow(std::size_t at, int sh_degree, void* to) const;
   const float* channel(std::size_t place) const {

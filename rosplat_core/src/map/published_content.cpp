@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include "map/harmonics.hpp"
 #include "rosplat_core/map/channels.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/slots/packed_rows.hpp"
@@ -267,14 +266,9 @@ void PublishedContent::forEach(const NamedSlots& slots, const Each& each) const 
 }
 
 void PublishedContent::read(const NamedSlots& slots, int sh_degree, Splats& splats) const {
-  const std::size_t n = slots.size();
-  splats.positions.resize(3 * n);
-  splats.orientations.resize(4 * n);
-  splats.scales.resize(3 * n);
-  splats.opacities.resize(n);
-  splats.sh.resize(harmonicsOf(sh_degree) * n);
+  const SplatArrays<float> arrays = splats.resize(slots.size(), sh_degree);
   forEach(slots, [&](const Page& page, std::size_t at, std::size_t i) {
-    page.splats.read(at, i, sh_degree, splats);
+    page.splats.read(at, i, arrays);
   });
 }
 

@@ -80,14 +80,8 @@ Array<std::uint32_t> pack(const py::object& arrays, const Array<bool>& usable) {
   for (std::size_t i = 0; i < from.count; ++i, row += words) {
     std::fill_n(row, words, 0u);
     if (!held.usable[i]) continue;
-    Splat splat;
     const float* const sh = from.sh + from.shStride() * i;
-    std::copy_n(from.positions + 3 * i, 3, splat.position.begin());
-    std::copy_n(from.orientations + 4 * i, 4, splat.orientation.begin());
-    std::copy_n(from.scales + 3 * i, 3, splat.scale.begin());
-    std::copy_n(sh, 3, splat.color.begin());
-    splat.opacity = from.opacities[i];
-    packSlot(splat, sh + 3, from.sh_degree, row, bandsOf(row));
+    packSlot(splatAt(from, i), sh + 3, from.sh_degree, row, bandsOf(row));
   }
   return rows;
 }

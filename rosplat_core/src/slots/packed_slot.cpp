@@ -107,11 +107,21 @@ float extentOf(float opacity, float largest_scale) {
   return std::sqrt(2.0f * std::log(255.0f * opacity)) * largest_scale;
 }
 
+Splat splatAt(const SplatArrays<const float>& arrays, std::size_t i) {
+  Splat splat;
+  std::copy_n(arrays.positions + 3 * i, 3, splat.position.begin());
+  std::copy_n(arrays.orientations + 4 * i, 4, splat.orientation.begin());
+  std::copy_n(arrays.scales + 3 * i, 3, splat.scale.begin());
+  std::copy_n(arrays.sh + arrays.shStride() * i, 3, splat.color.begin());
+  splat.opacity = arrays.opacities[i];
+  return splat;
+}
+
 void packSlot(const Splat& splat, const float* sh, int sh_degree, std::uint32_t* slot,
               const std::array<std::uint32_t*, kMaxShDegree + 1>& bands) {
-  const int coefficients = 3 * ((sh_degree + 1) * (sh_degree + 1) - 1);
+  const std::size_t coefficients = harmonicsOf(sh_degree) - 3;
   float largest = 0;
-  for (int i = 0; i < coefficients; ++i) largest = std::max(largest, std::fabs(sh[i]));
+  for (std::size_t i = 0; i < coefficients; ++i) largest = std::max(largest, std::fabs(sh[i]));
   const std::uint32_t sh_scale = toHalf(largest);
   const float unit = fromHalf(sh_scale);
 
@@ -171,7 +181,7 @@ void unpackHarmonics(const std::uint32_t* slot, int sh_degree,
 std::vector<float> unpackHarmonics(
     const std::uint32_t* slot, int sh_degree,
     const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands) {
-  std::vector<float> sh(std::size_t(3 * ((sh_degree + 1) * (sh_degree + 1) - 1)));
+  std::vector<float> sh(harmonicsOf(sh_degree) - 3);
   unpackHarmonics(slot, sh_degree, bands, sh.data());
   return sh;
 }

@@ -74,6 +74,16 @@ Splats Splats::fromTrained(std::vector<float> means, const std::vector<float>& q
   return splats;
 }
 
+SplatArrays<float> Splats::resize(std::size_t n, int sh_degree) {
+  positions.resize(3 * n);
+  orientations.resize(4 * n);
+  scales.resize(3 * n);
+  opacities.resize(n);
+  sh.resize(harmonicsOf(sh_degree) * n);
+  return {n,         sh_degree, positions.data(), orientations.data(), scales.data(),
+          opacities.data(), sh.data()};
+}
+
 SplatsView Splats::view() const {
   const std::size_t n = size();
   checkLength("positions", positions.size(), 3, n);

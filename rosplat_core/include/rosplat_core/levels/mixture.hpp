@@ -30,7 +30,8 @@ class Mixture {
 
   double areaOf(const Symmetric& covariance) const;
 
-  int sh_degree_, coefficients_;
+  int sh_degree_;
+  std::size_t coefficients_;
   std::array<double, 3> corner_;
   double size_;
 

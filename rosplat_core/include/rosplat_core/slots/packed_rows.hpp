@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -29,6 +30,22 @@ inline bool isUsable(const std::uint32_t* row) {
          finite(row[8]);
 }
 
+// Writes the splat of a row with bands up to sh_degree to the i-th place of arrays. Bands that only
+// the arrays have become 0.
+inline void unpack(const std::uint32_t* row, int sh_degree, const SplatArrays<float>& to,
+                   std::size_t i) {
+  const Splat splat = unpackSlot(row);
+  std::copy_n(splat.position.begin(), 3, to.positions + 3 * i);
+  std::copy_n(splat.orientation.begin(), 4, to.orientations + 4 * i);
+  std::copy_n(splat.scale.begin(), 3, to.scales + 3 * i);
+  to.opacities[i] = splat.opacity;
+  float* const sh = to.sh + to.shStride() * i;
+  std::copy_n(splat.color.begin(), 3, sh);
+  const int known = std::min(sh_degree, to.sh_degree);
+  unpackHarmonics(row, known, bandsOf(row), sh + 3);
+  std::fill(sh + harmonicsOf(known), sh + to.shStride(), 0.0f);
+}
+
 // Fills arrays with the splats of a payload of size() bytes. The position of an invalid splat
 // becomes NaN.
 inline void decode(const std::uint8_t* payload, const SplatArrays<float>& splats) {
@@ -36,15 +53,8 @@ inline void decode(const std::uint8_t* payload, const SplatArrays<float>& splats
   const std::size_t bytes = size(1, splats.sh_degree);
   for (std::size_t i = 0; i < splats.count; ++i) {
     std::memcpy(row, payload + bytes * i, bytes);
-    Splat splat = unpackSlot(row);
-    if (!isUsable(row)) splat.position.fill(std::nanf(""));
-    float* const sh = splats.sh + splats.shStride() * i;
-    std::memcpy(splats.positions + 3 * i, splat.position.data(), sizeof(splat.position));
-    std::memcpy(splats.orientations + 4 * i, splat.orientation.data(), sizeof(splat.orientation));
-    std::memcpy(splats.scales + 3 * i, splat.scale.data(), sizeof(splat.scale));
-    std::memcpy(sh, splat.color.data(), sizeof(splat.color));
-    splats.opacities[i] = splat.opacity;
-    unpackHarmonics(row, splats.sh_degree, bandsOf<const std::uint32_t>(row), sh + 3);
+    unpack(row, splats.sh_degree, splats, i);
+    if (!isUsable(row)) std::fill_n(splats.positions + 3 * i, 3, std::nanf(""));
   }
 }
 

@@ -4,6 +4,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "rosplat_core/slots/splat_arrays.hpp"
+
 namespace rosplat {
 
 constexpr int kMaxShDegree = 3;
@@ -46,6 +48,9 @@ struct Splat {
   std::array<float, 3> color{};        // band 0 of the spherical harmonics
 };
 
+// The i-th splat of arrays.
+Splat splatAt(const SplatArrays<const float>& arrays, std::size_t i);
+
 // A copy of a slot's words, for a node, or out of memory in which they lie apart (HostSlots).
 struct PackedSlot {
   std::array<std::uint32_t, kSlotWords> words{};
@@ -73,7 +78,7 @@ float slotOpacity(const std::uint32_t* slot);
 float largestScale(const std::uint32_t* slot);
 
 // The coefficients of bands 1 to sh_degree, as packSlot() takes them.
-// sh: room for 3 ((sh_degree + 1)^2 - 1) floats.
+// sh: room for harmonicsOf(sh_degree) - 3 floats.
 void unpackHarmonics(const std::uint32_t* slot, int sh_degree,
                      const std::array<const std::uint32_t*, kMaxShDegree + 1>& bands, float* sh);
 std::vector<float> unpackHarmonics(const std::uint32_t* slot, int sh_degree,

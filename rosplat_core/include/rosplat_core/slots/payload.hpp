@@ -28,8 +28,6 @@ constexpr float kScaleRange = 16, kGreatestScale = 12;   // [natural logarithm]
 constexpr std::uint32_t kNoScale = stepsOf(kScaleBits);  // marks an invalid splat
 constexpr std::uint32_t kScaleSteps = stepsOf(kScaleBits) - 2;
 
-inline std::size_t restOf(int sh_degree) { return 3u * ((sh_degree + 1u) * (sh_degree + 1u) - 1u); }
-
 struct Bounds {
   float lower = 0, upper = 0;
 };
@@ -141,7 +139,7 @@ inline float largestScale(const SplatArrays<const float>& splats, std::size_t i)
 
 // Bytes of the payload of `count` splats.
 inline std::size_t size(std::size_t count, int sh_degree) {
-  const std::size_t rest = detail::restOf(sh_degree);
+  const std::size_t rest = harmonicsOf(sh_degree) - 3;
   return detail::kBoundsBytes + count * (detail::kSplatBytes + (rest > 0 ? 1 + rest : 0));
 }
 
@@ -245,7 +243,7 @@ inline void encode(const SplatArrays<const float>& splats, const std::vector<boo
     }
     bits.copyTo(packed + kSplatBytes * i);
   }
-  const std::size_t rest = restOf(splats.sh_degree);
+  const std::size_t rest = harmonicsOf(splats.sh_degree) - 3;
   if (rest == 0) return;
   std::uint8_t* const strengths = packed + kSplatBytes * n;
   auto* harmonics = reinterpret_cast<std::int8_t*>(strengths + n);
@@ -300,7 +298,7 @@ inline void decode(const std::uint8_t* payload, const SplatArrays<float>& splats
     splats.opacities[i] = static_cast<float>(opacity.value(bits.read(kOpacityBits)));
     for (int k = 0; k < 3; ++k) splats.sh[stride * i + k] = colours[bits.read(kColourBits)];
   }
-  const std::size_t rest = restOf(splats.sh_degree);
+  const std::size_t rest = harmonicsOf(splats.sh_degree) - 3;
   if (rest == 0) return;
   const std::uint8_t* const strengths = packed + kSplatBytes * n;
   const auto* harmonics = reinterpret_cast<const std::int8_t*>(strengths + n);

@@ -7,6 +7,9 @@
 
 namespace rosplat {
 
+// How many values the spherical harmonics of a splat are, band 0 among them.
+constexpr std::size_t harmonicsOf(int sh_degree) { return 3u * (sh_degree + 1u) * (sh_degree + 1u); }
+
 // Splats in arrays as GaussianArray has them, owned by someone else. Float: float or const float.
 template <typename Float>
 struct SplatArrays {
@@ -18,7 +21,7 @@ struct SplatArrays {
   Float* opacities = nullptr;     // 1 a splat
   Float* sh = nullptr;            // 3 (sh_degree + 1)^2 a splat
 
-  std::size_t shStride() const { return 3u * (sh_degree + 1u) * (sh_degree + 1u); }
+  std::size_t shStride() const { return harmonicsOf(sh_degree); }
 };
 
 inline bool allFinite(const float* values, std::size_t count) {

@@ -53,6 +53,8 @@ struct Splats {
                             const std::vector<float>& sh0, const std::vector<float>& shN = {});
 
   std::size_t size() const { return positions.size() / 3; }
+  // Makes room for so many splats, and returns where.
+  SplatArrays<float> resize(std::size_t n, int sh_degree);
   // A checked view of these splats. Throws std::invalid_argument, which names the field, if an
   // array's length doesn't fit that of positions, or if SplatsView::check() does.
   SplatsView view() const;
