@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "rosplat_core/map/placement.hpp"
+
 namespace rosplat {
 
 namespace {
@@ -43,24 +45,6 @@ Matrix eigenvectors(Matrix& a) {
     }
   }
   return v;
-}
-
-// The quaternion x y z w of the rotation with these columns. They are right-handed, for a product
-// of rotations made them.
-std::array<float, 4> quaternionOf(const Matrix& m) {
-  const double trace = m[0][0] + m[1][1] + m[2][2];
-  std::array<double, 4> q;
-  if (trace > 0) {
-    q = {m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1], 1 + trace};
-  } else {
-    const int i = m[0][0] >= m[1][1] && m[0][0] >= m[2][2] ? 0 : m[1][1] >= m[2][2] ? 1 : 2;
-    const int j = (i + 1) % 3, k = (i + 2) % 3;
-    q[std::size_t(i)] = 1 + m[i][i] - m[j][j] - m[k][k];
-    q[std::size_t(j)] = m[j][i] + m[i][j];
-    q[std::size_t(k)] = m[k][i] + m[i][k];
-    q[3] = m[k][j] - m[j][k];
-  }
-  return {float(q[0]), float(q[1]), float(q[2]), float(q[3])};
 }
 
 std::array<double, 6> covarianceOf(const Splat& splat) {
@@ -152,7 +136,11 @@ PackedSlot Mixture::pack() const {
   }
   const auto& [xx, xy, xz, yy, yz, zz] = covariance;
   Matrix matrix{{{xx, xy, xz}, {xy, yy, yz}, {xz, yz, zz}}};
-  splat.orientation = quaternionOf(eigenvectors(matrix));
+  // A product of rotations made the vectors, so they are right-handed.
+  const Matrix v = eigenvectors(matrix);
+  const auto q = quaternionOf(
+      {v[0][0], v[0][1], v[0][2], v[1][0], v[1][1], v[1][2], v[2][0], v[2][1], v[2][2]});
+  std::copy(q.begin(), q.end(), splat.orientation.begin());
   for (std::size_t i = 0; i < 3; ++i)
     splat.scale[i] = float(std::sqrt(std::max(matrix[i][i], 0.0)));
   constexpr float kLeastOpacity = 1 / 65535.0f;  // the least above 0 that a slot can hold

@@ -106,7 +106,8 @@ EditQueue::Node EditQueue::take(std::size_t most_bytes) {
   if (oldest.taken == 0 && bytes <= most_bytes) return popNode();
   const std::size_t count =
       std::min(std::max<std::size_t>(most_bytes / (bytes / slots), 1), slots - oldest.taken);
-  Node taken = node(part(*oldest.edit, oldest.taken > 0, {{oldest.taken, count}}), oldest.state, oldest.now);
+  Node taken =
+      node(part(*oldest.edit, oldest.taken > 0, {{oldest.taken, count}}), oldest.state, oldest.now);
   oldest.taken += count;
   if (oldest.taken == slots) {
     popNode();

@@ -201,8 +201,8 @@ std::vector<bool> layOutRows(const GaussianBatch& batch, const std::array<double
 // The arrays of a batch; memory: for those of its payload, if it has one.
 SplatArrays<const float> arraysOf(const GaussianBatch& batch, Splats& memory) {
   if (batch.format.empty()) {
-    return {batch.count,           batch.sh_degree,      batch.positions.data, batch.orientations.data,
-            batch.scales.data,     batch.opacities.data, batch.sh.data};
+    return {batch.count,       batch.sh_degree,      batch.positions.data, batch.orientations.data,
+            batch.scales.data, batch.opacities.data, batch.sh.data};
   }
   const SplatArrays<float> arrays = memory.resize(batch.count, batch.sh_degree);
   ofBatch([&] { return formatOf(batch).decode(batch.payload.data, arrays); });

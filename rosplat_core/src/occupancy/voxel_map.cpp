@@ -54,21 +54,6 @@ std::uint32_t toArea(double value) { return std::uint32_t(std::llround(value / k
 
 using Matrix = std::array<double, 9>;
 
-Matrix product(const Matrix& a, const Matrix& b) {
-  Matrix c{};
-  for (int i = 0; i < 3; ++i) {
-    for (int k = 0; k < 3; ++k) {
-      for (int j = 0; j < 3; ++j) c[3 * i + j] += a[3 * i + k] * b[3 * k + j];
-    }
-  }
-  return c;
-}
-
-// First `inner`, then `outer`.
-Placement composed(const Placement& outer, const Placement& inner) {
-  return {product(outer.rotation, inner.rotation), outer(inner.translation)};
-}
-
 // The direction of the largest eigenvalue of a symmetric matrix, by squaring it again and again.
 std::array<float, 3> principal(Matrix m) {
   for (int step = 0; step < 8; ++step) {
@@ -272,7 +257,7 @@ void VoxelMap::share(const PageSpan& part, int sign, Shares& shares) {
   const Group& group = slots_.index().groupOf(*part.page);
   Placement in_map = group.place;
   in_map.translation = group.place(group.originOrZero());
-  const Placement in_grid = composed(map_in_grid_, in_map);
+  const Placement in_grid = map_in_grid_ * in_map;
   for (std::uint32_t i = part.first; i < part.first + part.count; ++i) {
     if (!(page.extent[i] >= 0)) continue;
     share(unpackSlot(page.packed(i, 0).words.data()), in_grid, sign, shares);

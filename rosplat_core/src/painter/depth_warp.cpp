@@ -22,13 +22,10 @@ std::vector<float> warpDepths(const std::vector<float>& depths, const SplatCamer
       const double ndc = 2.0 * double(in_row[column]) - 1;
       const double depth = camera.orthographic ? (ndc - camera.ndc_offset) / camera.ndc_scale
                                                : camera.ndc_offset / (ndc - camera.ndc_scale);
-      const double spread = camera.orthographic ? 1 : depth;
-      const std::array<double, 3> point =
-          there({spread * (column + 0.5 - camera.cx) / camera.fx,
-                 spread * (row + 0.5 - camera.cy) / camera.fy, depth});
+      const auto point = there(pointAt(camera, column + 0.5, row + 0.5, depth));
+      const auto [right_of, below] = pixelOf(other, point);
       const double w = other.orthographic ? 1 : point[2];
-      const double x = std::floor(other.fx * point[0] / w + other.cx);
-      const double y = std::floor(other.fy * point[1] / w + other.cy);
+      const double x = std::floor(right_of), y = std::floor(below);
       if (!(w > 0 && x >= 0 && y >= 0 && x < width && y < height)) continue;
       const double seen = 0.5 * (other.ndc_scale * point[2] + other.ndc_offset) / w + 0.5;
       left = std::min(left, int(x)), right = std::max(right, int(x));

@@ -11,12 +11,6 @@ namespace {
 
 constexpr double kNothing = std::numeric_limits<double>::quiet_NaN();
 
-// The point at a depth [m] that a camera sees at x, y of its picture [px], in the camera's frame.
-std::array<double, 3> pointAt(const SplatCamera& camera, double x, double y, double depth) {
-  const double spread = camera.orthographic ? 1 : depth;
-  return {spread * (x - camera.cx) / camera.fx, spread * (y - camera.cy) / camera.fy, depth};
-}
-
 }  // namespace
 
 std::vector<double> PaintedSurface::seenBy(const SplatCamera& camera,
@@ -27,10 +21,10 @@ std::vector<double> PaintedSurface::seenBy(const SplatCamera& camera,
   if (depths_.empty()) return depths;
   // The surface's depth at the pixel of camera_ that shows, or hides, a point in its frame.
   const auto depthOf = [&](const std::array<double, 3>& point) {
-    const double spread = camera_.orthographic ? 1 : point[2];
-    const double x = std::floor(camera_.fx * point[0] / spread + camera_.cx);
-    const double y = std::floor(camera_.fy * point[1] / spread + camera_.cy);
-    const bool inside = spread > 0 && x >= 0 && y >= 0 && x < camera_.width && y < camera_.height;
+    const auto [right, down] = pixelOf(camera_, point);
+    const double x = std::floor(right), y = std::floor(down);
+    const bool ahead = camera_.orthographic || point[2] > 0;
+    const bool inside = ahead && x >= 0 && y >= 0 && x < camera_.width && y < camera_.height;
     if (!inside) return kNothing;
     const std::size_t pixel = std::size_t(y) * std::size_t(camera_.width) + std::size_t(x);
     return rgba[4 * pixel + 3] >= 255 * least_alpha ? double(depths_[pixel]) : kNothing;

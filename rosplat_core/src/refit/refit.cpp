@@ -95,14 +95,10 @@ struct Refit::Drawing {
         width(camera.width),
         height(camera.height),
         degree(of_degree) {
-    const std::array<double, 3> eye_at = eyeOf(camera, origin);
+    const std::array<double, 3> eye_at = eyeOf(camera, origin), moved = camera(origin);
     for (std::size_t i = 0; i < 3; ++i) {
-      double moved = camera.translation[i];
-      for (std::size_t k = 0; k < 3; ++k) {
-        to_camera[i][k] = float(camera.rotation[3 * i + k]);
-        moved += camera.rotation[3 * i + k] * origin[k];
-      }
-      to_camera[i][3] = float(moved);
+      for (std::size_t k = 0; k < 3; ++k) to_camera[i][k] = float(camera.rotation[3 * i + k]);
+      to_camera[i][3] = float(moved[i]);
       eye[i] = float(eye_at[i]);
     }
     const SplatCamera::Whole whole = camera.whole();

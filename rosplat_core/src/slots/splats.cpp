@@ -80,8 +80,9 @@ SplatArrays<float> Splats::resize(std::size_t n, int sh_degree) {
   scales.resize(3 * n);
   opacities.resize(n);
   sh.resize(harmonicsOf(sh_degree) * n);
-  return {n,         sh_degree, positions.data(), orientations.data(), scales.data(),
-          opacities.data(), sh.data()};
+  return {
+      n,        sh_degree, positions.data(), orientations.data(), scales.data(), opacities.data(),
+      sh.data()};
 }
 
 SplatsView Splats::view() const {

@@ -50,16 +50,14 @@ struct Seen {
 
 Seen middleOf(const SplatCamera& camera, const Groups& groups,
               const std::vector<SampledSplat>& splats) {
-  const Placement toCamera{camera.rotation, camera.translation};
   std::vector<Seen> seen;
   for (const SampledSplat& splat : splats) {
     const auto& [x, y, z] = splat.position;
-    const auto p = toCamera(groups.all()[splat.group].inMap(std::array<double, 3>{x, y, z}));
+    const auto p = camera(groups.all()[splat.group].inMap(std::array<double, 3>{x, y, z}));
     if (!(p[2] > camera.near_clip && p[2] < camera.far_clip)) continue;
-    const double w = camera.orthographic ? 1 : p[2];
-    const double u = camera.fx * p[0] / w + camera.cx, v = camera.fy * p[1] / w + camera.cy;
+    const auto [u, v] = pixelOf(camera, p);
     if (!(u > 0 && v > 0 && u < camera.width && v < camera.height)) continue;
-    const double scale = std::max(camera.fx, camera.fy) / w;
+    const double scale = std::max(camera.fx, camera.fy) / (camera.orthographic ? 1 : p[2]);
     seen.push_back({splat.size * scale, scale});
   }
   if (seen.empty()) return {};

@@ -3,7 +3,7 @@
 namespace rosplat {
 
 SortView sortView(const SplatCamera& camera, const std::array<double, 3>& origin, double overscan) {
-  const std::array<double, 3> t = Placement{camera.rotation, camera.translation}(origin);
+  const std::array<double, 3> t = camera(origin);
   const auto view = [&](double cx, double cy, double width, double height) {
     return makeSortView(camera.rotation.data(), t.data(), camera.fx, camera.fy, cx, cy, width,
                         height, camera.near_clip, camera.far_clip, camera.orthographic,

@@ -7,55 +7,24 @@
 
 namespace rosplat {
 
-Placement frameIn(const SplatCamera& camera, const SplatCamera& other) {
-  Placement there;
-  there.rotation = {};
-  for (int i = 0; i < 3; ++i) {
-    for (int k = 0; k < 3; ++k) {
-      for (int j = 0; j < 3; ++j) {
-        there.rotation[3 * i + k] += other.rotation[3 * i + j] * camera.rotation[3 * k + j];
-      }
-    }
-  }
-  const std::array<double, 3> moved = there(camera.translation);
-  for (int i = 0; i < 3; ++i) there.translation[i] = other.translation[i] - moved[i];
-  return there;
+std::array<double, 3> pointAt(const SplatCamera& camera, double x, double y, double depth) {
+  const double spread = camera.orthographic ? 1 : depth;
+  return {spread * (x - camera.cx) / camera.fx, spread * (y - camera.cy) / camera.fy, depth};
 }
 
-Placement frameSeenBy(const SplatCamera& camera, const SplatCamera& other) {
-  Placement there;
-  for (int i = 0; i < 3; ++i) {
-    for (int k = 0; k < 3; ++k) there.rotation[3 * i + k] = 0;
-    for (int j = 0; j < 3; ++j) {
-      const double back = other.rotation[3 * j + i];
-      there.translation[i] += back * (camera.translation[j] - other.translation[j]);
-      for (int k = 0; k < 3; ++k) there.rotation[3 * i + k] += back * camera.rotation[3 * j + k];
-    }
-  }
-  return there;
+std::array<double, 2> pixelOf(const SplatCamera& camera, const std::array<double, 3>& point) {
+  const double w = camera.orthographic ? 1 : point[2];
+  return {camera.fx * point[0] / w + camera.cx, camera.fy * point[1] / w + camera.cy};
 }
 
 SplatCamera inFrameOf(const Placement& map, const SplatCamera& camera) {
   SplatCamera moved = camera;
-  moved.translation = Placement{camera.rotation, camera.translation}(map.translation);
-  for (int i = 0; i < 3; ++i) {
-    for (int k = 0; k < 3; ++k) {
-      moved.rotation[3 * i + k] = 0;
-      for (int j = 0; j < 3; ++j) {
-        moved.rotation[3 * i + k] += camera.rotation[3 * i + j] * map.rotation[3 * j + k];
-      }
-    }
-  }
+  static_cast<Placement&>(moved) = camera * map;
   return moved;
 }
 
 std::array<double, 3> eyeOf(const SplatCamera& camera, const std::array<double, 3>& origin) {
-  const std::array<double, 3> t = Placement{camera.rotation, camera.translation}(origin);
-  std::array<double, 3> eye{};
-  for (int i = 0; i < 3; ++i) {
-    for (int k = 0; k < 3; ++k) eye[i] -= camera.rotation[3 * k + i] * t[k];
-  }
-  return eye;
+  return Placement{camera.rotation, camera(origin)}.inverse().translation;
 }
 
 std::pair<double, double> depthBuffer(bool orthographic, double near_clip, double far_clip) {
@@ -102,13 +71,7 @@ SplatCamera makeCamera(const std::array<double, 3>& position,
         "near_clip and far_clip are no range of depths to 32-bit floats");
 
   SplatCamera camera;
-  const Placement pose = makePlacement(position, orientation);
-  for (int i = 0; i < 3; ++i) {
-    for (int k = 0; k < 3; ++k) {
-      camera.rotation[3 * i + k] = pose.rotation[3 * k + i];
-      camera.translation[i] -= camera.rotation[3 * i + k] * position[k];
-    }
-  }
+  static_cast<Placement&>(camera) = makePlacement(position, orientation).inverse();
   camera.orthographic = orthographic;
   camera.fx = fx;
   camera.fy = fy;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
+#include <tuple>
 #include <utility>
 
 #include "rosplat_core/map/printable.hpp"
@@ -12,6 +13,25 @@ namespace rosplat {
 static_assert(kMostSlots == kMaxSlots);
 static_assert(OrderReader::kPacked == rosplat_msgs::msg::SplatOrder::PACKED);
 static_assert(OrderReader::kShared == rosplat_msgs::msg::SplatOrder::SHARED);
+
+namespace {
+
+geometry_msgs::msg::Point toPoint(const std::array<double, 3>& p) {
+  geometry_msgs::msg::Point point;
+  std::tie(point.x, point.y, point.z) = std::tuple_cat(p);
+  return point;
+}
+
+// Of unit length.
+geometry_msgs::msg::Quaternion toQuaternion(const std::array<double, 4>& q) {
+  const double length = std::hypot(std::hypot(q[0], q[1]), std::hypot(q[2], q[3]));
+  geometry_msgs::msg::Quaternion unit;
+  std::tie(unit.x, unit.y, unit.z, unit.w) =
+      std::tuple(q[0] / length, q[1] / length, q[2] / length, q[3] / length);
+  return unit;
+}
+
+}  // namespace
 
 void toOrder(rosplat_msgs::msg::SplatOrder& message, std::size_t most, OrderReader& reader,
              Order& order) {
@@ -39,27 +59,9 @@ rosplat_msgs::msg::ViewCamera toMessage(const SplatCamera& camera, const std::st
   message.header = header;
   message.view_id = view_id;
   message.sequence = sequence;
-  const auto& r = camera.rotation;
-  const auto& t = camera.translation;
-  message.pose.position.x = -(r[0] * t[0] + r[3] * t[1] + r[6] * t[2]);
-  message.pose.position.y = -(r[1] * t[0] + r[4] * t[1] + r[7] * t[2]);
-  message.pose.position.z = -(r[2] * t[0] + r[5] * t[1] + r[8] * t[2]);
-  // The quaternion of the transposed rotation, from its largest component (Shepperd 1978).
-  const double trace = r[0] + r[4] + r[8];
-  auto& q = message.pose.orientation;
-  if (trace > std::fmax(r[0], std::fmax(r[4], r[8]))) {
-    const double s = 2 * std::sqrt(1 + trace);
-    q.w = s / 4, q.x = (r[5] - r[7]) / s, q.y = (r[6] - r[2]) / s, q.z = (r[1] - r[3]) / s;
-  } else if (r[0] >= r[4] && r[0] >= r[8]) {
-    const double s = 2 * std::sqrt(1 + r[0] - r[4] - r[8]);
-    q.x = s / 4, q.w = (r[5] - r[7]) / s, q.y = (r[1] + r[3]) / s, q.z = (r[2] + r[6]) / s;
-  } else if (r[4] >= r[8]) {
-    const double s = 2 * std::sqrt(1 + r[4] - r[0] - r[8]);
-    q.y = s / 4, q.w = (r[6] - r[2]) / s, q.x = (r[1] + r[3]) / s, q.z = (r[5] + r[7]) / s;
-  } else {
-    const double s = 2 * std::sqrt(1 + r[8] - r[0] - r[4]);
-    q.z = s / 4, q.w = (r[1] - r[3]) / s, q.x = (r[2] + r[6]) / s, q.y = (r[5] + r[7]) / s;
-  }
+  const Placement pose = camera.inverse();
+  message.pose.position = toPoint(pose.translation);
+  message.pose.orientation = toQuaternion(quaternionOf(pose.rotation));
   message.projection = camera.orthographic ? rosplat_msgs::msg::ViewCamera::ORTHOGRAPHIC
                                            : rosplat_msgs::msg::ViewCamera::PERSPECTIVE;
   message.fx = camera.fx;
@@ -82,16 +84,9 @@ rosplat_msgs::msg::Gaussian toMessage(const SplatValues& splat, const std_msgs::
   message.revision = map.revision;
   message.slot = splat.slot;
   message.group = splat.group;
-  message.pose.position.x = splat.position[0];
-  message.pose.position.y = splat.position[1];
-  message.pose.position.z = splat.position[2];
-  const auto& q = splat.orientation;
-  const double norm = std::sqrt(double(q[0]) * q[0] + double(q[1]) * q[1] + double(q[2]) * q[2] +
-                                double(q[3]) * q[3]);
-  message.pose.orientation.x = q[0] / norm;
-  message.pose.orientation.y = q[1] / norm;
-  message.pose.orientation.z = q[2] / norm;
-  message.pose.orientation.w = q[3] / norm;
+  message.pose.position = toPoint(splat.position);
+  const auto& [qx, qy, qz, qw] = splat.orientation;
+  message.pose.orientation = toQuaternion({qx, qy, qz, qw});
   message.scale.x = splat.scale[0];
   message.scale.y = splat.scale[1];
   message.scale.z = splat.scale[2];

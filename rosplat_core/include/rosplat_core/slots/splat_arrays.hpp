@@ -8,7 +8,9 @@
 namespace rosplat {
 
 // How many values the spherical harmonics of a splat are, band 0 among them.
-constexpr std::size_t harmonicsOf(int sh_degree) { return 3u * (sh_degree + 1u) * (sh_degree + 1u); }
+constexpr std::size_t harmonicsOf(int sh_degree) {
+  return 3u * (sh_degree + 1u) * (sh_degree + 1u);
+}
 
 // Splats in arrays as GaussianArray has them, owned by someone else. Float: float or const float.
 template <typename Float>

@@ -10,10 +10,8 @@ namespace rosplat {
 
 // A camera in the map's frame, in double precision so that maps far from their frame's origin stay
 // sharp. Optical axes: x right, y down, z forward (REP-103). The top left pixel's centre is at
-// (0.5, 0.5).
-struct SplatCamera {
-  std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  // map -> camera, rows
-  std::array<double, 3> translation{};                        // map -> camera [m]
+// (0.5, 0.5). Places the map's frame in the camera's.
+struct SplatCamera : Placement {
   bool orthographic = false;
   double fx = 1, fy = 1, cx = 0, cy = 0;  // [px], orthographic fx, fy [px/m]
   int width = 1, height = 1;              // [px]
@@ -42,10 +40,19 @@ struct SplatCamera {
 };
 
 // Returns the pose of a camera's frame in the frame of another camera of the same map.
-Placement frameIn(const SplatCamera& camera, const SplatCamera& other);
+inline Placement frameIn(const SplatCamera& camera, const SplatCamera& other) {
+  return other * camera.inverse();
+}
 
 // For one camera given in the frames of two maps: returns the pose of the first map in the second.
-Placement frameSeenBy(const SplatCamera& camera, const SplatCamera& other);
+inline Placement frameSeenBy(const SplatCamera& camera, const SplatCamera& other) {
+  return other.inverse() * camera;
+}
+
+// The point of a camera's frame that its picture shows at x, y [px] in a depth [m].
+std::array<double, 3> pointAt(const SplatCamera& camera, double x, double y, double depth);
+// Where a camera's picture shows a point of the camera's frame: x, y [px].
+std::array<double, 2> pixelOf(const SplatCamera& camera, const std::array<double, 3>& point);
 
 // Returns a scene's camera in the frame of a map that is placed in the scene.
 SplatCamera inFrameOf(const Placement& map, const SplatCamera& camera);

@@ -79,8 +79,7 @@ std::vector<SlotStore::Piece> SlotStore::pieces(const GaussianEdit& edit) {
       if (count < SlotPage::kSlots) empty(*page);
       held_[page->place] = true;
     }
-    const std::size_t first =
-        std::size_t{place.page} * SlotPage::kSlots + slot % SlotPage::kSlots;
+    const std::size_t first = std::size_t{place.page} * SlotPage::kSlots + slot % SlotPage::kSlots;
     Piece* const last = pieces.empty() ? nullptr : &pieces.back();
     if (last && last->arena == &arena && last->first + last->count == first &&
         last->source + last->count == source) {
