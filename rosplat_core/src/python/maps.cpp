@@ -147,12 +147,6 @@ void defineMaps(py::module_& module) {
   py::class_<GaussianMap> map(module, "GaussianMap", "A map's books, without what draws it.");
   map.def(py::init<>())
       .def("in_use", &GaussianMap::inUse, "slot"_a)
-      .def_property_readonly("map_id", [](const GaussianMap& m) { return m.state().id; })
-      .def_property_readonly("capacity", [](const GaussianMap& m) { return m.state().capacity; })
-      .def_property_readonly("revision", [](const GaussianMap& m) { return m.state().revision; })
-      .def_property_readonly("splats", [](const GaussianMap& m) { return m.state().splats; })
-      .def_property_readonly("missed", [](const GaussianMap& m) { return m.state().missed; })
-      .def_property_readonly("pulled", [](const GaussianMap& m) { return m.state().pulled; })
       .def_property_readonly("complete", [](const GaussianMap& m) { return m.state().complete(); })
       .def(
           "origin",
@@ -165,7 +159,6 @@ void defineMaps(py::module_& module) {
             return std::pair(pose.position, pose.orientation);
           },
           "group"_a, "Where a group is: position [m], quaternion x y z w.")
-      .def_property_readonly("groups", [](const GaussianMap& m) { return m.state().groups; })
       .def_property_readonly("channels",
                              [](const GaussianMap& m) {
                                std::vector<std::string> names;
@@ -178,10 +171,9 @@ void defineMaps(py::module_& module) {
           "sample", [](const GaussianMap& m) { return toArray(m.samplePositions()); },
           "Where some thousand splats are, whatever its size, in its frame, float64 (n, 3). [m]")
       .def_property_readonly("model", [](const GaussianMap& m) { return int(m.state().model); });
+  defineState(map, [](const GaussianMap& m) -> const MapState& { return m.state(); });
   defineApply(map, [](GaussianMap& m, const GaussianBatch& batch) {
-    BatchReport report;
-    m.apply(batch, report);
-    return report;
+    return apply(m, batch, [](const GaussianEdit&) {});
   });
   py::class_<SortMap, GaussianMap> sorted(module, "SortMap",
                                           "A map as sorting needs it. What it holds may be looked "
@@ -209,11 +201,7 @@ void defineMaps(py::module_& module) {
       .def_property_readonly("changed", &changedOf,
                              "Runs of rows that the last batch changed: first, count.");
   defineApply(sorted, [](SortMap& m, const GaussianBatch& batch) {
-    BatchReport report;
-    m.apply(batch, report, [&m](const std::shared_ptr<const GaussianEdit>& edit, const MapState&) {
-      m.changed = m.rows.apply(*edit);
-    });
-    return report;
+    return apply(m, batch, [&m](const GaussianEdit& edit) { m.changed = m.rows.apply(edit); });
   });
 }
 

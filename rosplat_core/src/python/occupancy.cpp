@@ -1,7 +1,5 @@
 // Occupancy for Python.
 
-#include <cstring>
-
 #include "python/module.hpp"
 #include "rosplat_core/occupancy/voxel_map.hpp"
 #include "rosplat_core/python/bindings.hpp"
@@ -16,13 +14,6 @@ struct OccupancyMap : GaussianMap {
 
   VoxelMap voxels;
 };
-
-template <typename T>
-Array<T> rowsOf(const std::vector<std::array<T, 3>>& rows) {
-  Array<T> array({static_cast<py::ssize_t>(rows.size()), py::ssize_t{3}});
-  if (!rows.empty()) std::memcpy(array.mutable_data(), rows.data(), rows.size() * sizeof(rows[0]));
-  return array;
-}
 
 VoxelSurface found(const OccupancyMap& map, double least_depth, bool surface) {
   const py::gil_scoped_release release;
@@ -51,7 +42,7 @@ void defineOccupancy(py::module_& module) {
           "find",
           [](const OccupancyMap& m, double least_depth) {
             const VoxelSurface voxels = found(m, least_depth, false);
-            return py::make_tuple(rowsOf(voxels.cells), rowsOf(voxels.depths));
+            return py::make_tuple(toArray(voxels.cells), toArray(voxels.depths));
           },
           "least_depth"_a, "Cells int32 (n, 3) and optical depths along x, y, z float32 (n, 3).")
       .def(
@@ -59,8 +50,8 @@ void defineOccupancy(py::module_& module) {
           [](const OccupancyMap& m, double least_depth) {
             const VoxelSurface voxels = found(m, least_depth, true);
             return py::dict(
-                "cells"_a = rowsOf(voxels.cells), "positions"_a = rowsOf(voxels.positions),
-                "normals"_a = rowsOf(voxels.normals), "colors"_a = rowsOf(voxels.colors));
+                "cells"_a = toArray(voxels.cells), "positions"_a = toArray(voxels.positions),
+                "normals"_a = toArray(voxels.normals), "colors"_a = toArray(voxels.colors));
           },
           "least_depth"_a, "Of the same voxels: int32 cells and float32 of the others, (n, 3).")
       .def_property_readonly("too_large", [](const OccupancyMap& m) { return m.voxels.tooLarge(); })
@@ -73,11 +64,7 @@ void defineOccupancy(py::module_& module) {
           "How many voxels are held.")
       .def_property_readonly("voxels", [](const OccupancyMap& m) { return m.voxels.voxels(); });
   defineApply(map, [](OccupancyMap& m, const GaussianBatch& batch) {
-    BatchReport report;
-    m.apply(batch, report, [&m](const std::shared_ptr<const GaussianEdit>& edit, const MapState&) {
-      m.voxels.apply(*edit);
-    });
-    return report;
+    return apply(m, batch, [&m](const GaussianEdit& edit) { m.voxels.apply(edit); });
   });
 }
 

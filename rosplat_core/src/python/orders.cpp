@@ -1,8 +1,5 @@
 // Depth orders for Python: how they are found, and how they travel.
 
-#include <pybind11/numpy.h>
-#include <pybind11/pybind11.h>
-
 #include <algorithm>
 #include <cstdint>
 #include <memory>
@@ -12,18 +9,17 @@
 
 #include "python/module.hpp"
 #include "rosplat_core/order/depth_order.hpp"
-#include "rosplat_core/order/order_slots.hpp"
+#include "rosplat_core/order/order.hpp"
+#include "rosplat_core/python/bindings.hpp"
 
 namespace rosplat::python {
 
-namespace py = pybind11;
-
 namespace {
 
-using Slots = py::array_t<std::uint32_t, py::array::c_style>;
+using Slots = Array<std::uint32_t>;
 
 // Arrays are taken as they are, without a silent copy or cast of a whole map.
-using Floats = py::array_t<float, py::array::c_style>;
+using Floats = Array<float>;
 
 Floats floats(const py::handle& object, py::ssize_t size, const char* name) {
   if (!py::isinstance<Floats>(object)) {
@@ -109,19 +105,6 @@ Slots sort(DepthOrder& sorter, const py::object& view_object, const py::object& 
   return order;
 }
 
-// The slots that a reader has read: the memory of an array, which owns this.
-struct ReadSlots {
-  explicit ReadSlots(std::shared_ptr<SpareSlots> from) : spare(std::move(from)) {
-    slots = spare->take();
-  }
-  ~ReadSlots() { spare->keep(std::move(slots)); }
-  ReadSlots(const ReadSlots&) = delete;
-  ReadSlots& operator=(const ReadSlots&) = delete;
-
-  std::shared_ptr<SpareSlots> spare;
-  std::vector<std::uint32_t> slots;
-};
-
 // A reader for Python. Its arrays reuse the memory of former ones.
 class ArrayReader {
  public:
@@ -131,20 +114,21 @@ class ArrayReader {
              const std::string& segment, std::uint64_t generation) {
     const py::buffer_info bytes = packed.request();
     const auto size = static_cast<std::size_t>(bytes.size * bytes.itemsize);
-    auto owner = std::make_unique<ReadSlots>(spare_);
-    std::vector<std::uint32_t>& slots = owner->slots;
+    auto owner = std::make_unique<std::shared_ptr<Order>>(pool_.make());
+    std::vector<std::uint32_t>& slots = (*owner)->slots;
     {
       const py::gil_scoped_release release;
       reader_.read(encoding, static_cast<const std::uint8_t*>(bytes.ptr), size, count, slot_bits,
                    segment, generation, slots);
     }
-    const py::capsule capsule(owner.release(), [](void* p) { delete static_cast<ReadSlots*>(p); });
+    const py::capsule capsule(owner.release(),
+                              [](void* p) { delete static_cast<std::shared_ptr<Order>*>(p); });
     return Slots(static_cast<py::ssize_t>(slots.size()), slots.data(), capsule);
   }
 
  private:
   OrderReader reader_;
-  std::shared_ptr<SpareSlots> spare_ = std::make_shared<SpareSlots>();
+  OrderPool pool_;
 };
 
 void pack(const Slots& slots, unsigned bits, const py::buffer& packed) {
@@ -171,12 +155,11 @@ void mark(const py::buffer& segment, std::uint64_t generation) {
 
 void defineOrders(py::module_& module) {
   py::class_<DepthOrder>(module, "DepthOrder", "Keeps its workspace and threads between calls.")
-      .def(py::init<unsigned>(), py::arg("threads") = 0,
+      .def(py::init<unsigned>(), "threads"_a = 0,
            "threads: to sort with, 0 for as many as the machine runs at once.")
       .def_property_readonly("threads", &DepthOrder::threads)
       .def(
-          "sort", &sort, py::arg("view"), py::arg("positions"), py::arg("extents"),
-          py::arg("pages"), py::arg("allocate"),
+          "sort", &sort, "view"_a, "positions"_a, "extents"_a, "pages"_a, "allocate"_a,
           "The visible slots back to front, uint32 (m,), in the array that allocate(m) returns.\n\n"
           "view: a rosplat_core.view.SortView. positions: float32 (rows, 3) [m]. extents: float32\n"
           "(rows,) [m], negative for what is never visible. pages: as SortMap.pages, uint32 (p, "
@@ -189,13 +172,13 @@ void defineOrders(py::module_& module) {
       .def(py::init<>())
       .def_property_readonly("key", &ArrayReader::key,
                              "For ViewCamera.segment_key; 0 while no segment can be read.")
-      .def("read", &ArrayReader::read, py::arg("encoding"), py::arg("packed"), py::arg("count"),
-           py::arg("slot_bits"), py::arg("segment"), py::arg("generation"),
+      .def("read", &ArrayReader::read, "encoding"_a, "packed"_a, "count"_a, "slot_bits"_a,
+           "segment"_a, "generation"_a,
            "The slots, uint32 (count,), of a packed or shared order. Raises OrderError.");
-  module.def("pack", &pack, py::arg("slots"), py::arg("bits"), py::arg("packed"),
+  module.def("pack", &pack, "slots"_a, "bits"_a, "packed"_a,
              "Writes slots, uint32 (n,), as SplatOrder.packed into (n * bits + 7) / 8 bytes.");
   module.def(
-      "mark_segment", &mark, py::arg("segment"), py::arg("generation"),
+      "mark_segment", &mark, "segment"_a, "generation"_a,
       "Writes a segment's generation, after what was written to it before and before what is\n"
       "written next. segment: its mapping.");
 }

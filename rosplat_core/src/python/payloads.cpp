@@ -13,8 +13,6 @@ namespace rosplat::python {
 
 namespace {
 
-using Floats = Array<float>;
-
 // The arrays of a rosplat_core.payload.Arrays, and which splats are usable.
 struct HeldPayload : HeldArrays {
   std::vector<bool> usable;
@@ -54,19 +52,12 @@ py::dict decode(const Array<std::uint8_t>& bytes, std::size_t count, int sh_degr
     throw std::invalid_argument("payload has " + std::to_string(bytes.size()) + " bytes, " +
                                 std::to_string(expected) + " expected of " + format);
   }
-  const auto n = static_cast<py::ssize_t>(count);
-  const Floats positions({n, py::ssize_t{3}}), orientations({n, py::ssize_t{4}}),
-      scales({n, py::ssize_t{3}}), opacities(n),
-      sh({n, py::ssize_t{(sh_degree + 1) * (sh_degree + 1)}, py::ssize_t{3}});
-  const auto to = [](Floats array) { return array.mutable_data(); };
-  const SplatArrays<float> splats = {count,      sh_degree,     to(positions), to(orientations),
-                                     to(scales), to(opacities), to(sh)};
+  Splats splats;
   {
     const py::gil_scoped_release free;
-    known.decode(bytes.data(), splats);
+    known.decode(bytes.data(), splats.resize(count, sh_degree));
   }
-  return py::dict("positions"_a = positions, "orientations"_a = orientations, "scales"_a = scales,
-                  "opacities"_a = opacities, "sh"_a = sh);
+  return arraysOf(std::move(splats));
 }
 
 // Rows (n, 8 + (degree + 1)^2) as packed_slot.hpp has them; zero where a splat isn't usable.

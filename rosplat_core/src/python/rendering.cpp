@@ -63,13 +63,11 @@ Array<float> lendColour(CpuRenderer& renderer) {
 }
 
 BatchReport take(CpuRenderer& renderer, const GaussianBatch& batch) {
-  BatchReport report;
-  renderer.map.apply(batch, report, [&](const auto& edit, const MapState&) {
-    if (edit->clear) renderer.levels.clear();
-    renderer.slots.apply(*edit, 0);
-    renderer.levels.mark(renderer.slots, edit->runs);
+  return apply(renderer.map, batch, [&](const GaussianEdit& edit) {
+    if (edit.clear) renderer.levels.clear();
+    renderer.slots.apply(edit, 0);
+    renderer.levels.mark(renderer.slots, edit.runs);
   });
-  return report;
 }
 
 // Makes the nodes of the whole map; returns how many there are.

@@ -29,7 +29,7 @@ class OffscreenRenderer {
   OffscreenRenderer(const std::string& media, const std::string& plugins);
   ~OffscreenRenderer();
 
-  SplatScene& scene() { return clouds_.front()->scene(); }
+  SplatScene& scene() const { return clouds_.front()->scene(); }
   // Adds a map, which is drawn together with that of scene(). It lives as long as the renderer.
   SplatScene& addMap();
   RenderSettings settings;   // of the next draw

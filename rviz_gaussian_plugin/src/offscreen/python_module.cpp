@@ -113,6 +113,7 @@ PYBIND11_MODULE(_offscreen, module) {
   defineApply(renderer, [](OffscreenRenderer& r, const GaussianBatch& batch) {
     return r.scene().apply(batch);
   });
+  defineState(renderer, [](const OffscreenRenderer& r) { return r.scene().state(); });
   renderer.def(py::init<const std::string&, const std::string&>(), "media"_a, "plugins"_a)
       .def("add_map", &OffscreenRenderer::addMap, py::return_value_policy::reference_internal)
       .def("set_camera", &setCamera, "view_id"_a, "sequence"_a, "position"_a, "orientation"_a,
@@ -154,21 +155,6 @@ PYBIND11_MODULE(_offscreen, module) {
             return toArray(r.readPicture(background), {r.height(), r.width(), 3});
           },
           "background"_a = std::array<float, 3>{0, 0, 0})
-      .def_property_readonly("map_id", [](OffscreenRenderer& r) { return r.scene().state().id; })
-      .def_property_readonly("revision",
-                             [](OffscreenRenderer& r) { return r.scene().state().revision; })
-      .def_property_readonly("splats",
-                             [](OffscreenRenderer& r) { return r.scene().state().splats; })
-      .def_property_readonly("expected",
-                             [](OffscreenRenderer& r) { return r.scene().state().expected; })
-      .def_property_readonly("capacity",
-                             [](OffscreenRenderer& r) { return r.scene().state().capacity; })
-      .def_property_readonly("dropped",
-                             [](OffscreenRenderer& r) { return r.scene().state().dropped; })
-      .def_property_readonly("missed",
-                             [](OffscreenRenderer& r) { return r.scene().state().missed; })
-      .def_property_readonly("groups",
-                             [](OffscreenRenderer& r) { return r.scene().state().groups; })
       .def_property_readonly(
           "sample", [](OffscreenRenderer& r) { return toArray(r.scene().samplePositions()); })
       .def_property_readonly("error", [](OffscreenRenderer& r) { return r.scene().error(); })

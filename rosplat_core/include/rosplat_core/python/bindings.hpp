@@ -33,12 +33,12 @@ Array<T> toArray(std::vector<T> values, std::vector<py::ssize_t> shape) {
   return Array<T>(std::move(shape), owner->data(), capsule);
 }
 
-// Points, float64 (n, 3).
-inline Array<double> toArray(const std::vector<std::array<double, 3>>& points) {
-  Array<double> array({static_cast<py::ssize_t>(points.size()), py::ssize_t{3}});
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    std::copy(points[i].begin(), points[i].end(), array.mutable_data() + 3 * i);
-  }
+// Triples, (n, 3).
+template <typename T>
+Array<T> toArray(const std::vector<std::array<T, 3>>& rows) {
+  Array<T> array({static_cast<py::ssize_t>(rows.size()), py::ssize_t{3}});
+  T* to = array.mutable_data();
+  for (const auto& row : rows) to = std::copy(row.begin(), row.end(), to);
   return array;
 }
 
@@ -124,6 +124,31 @@ class ReadBatch {
   GaussianBatch batch_;
   std::vector<py::array> arrays_;
 };
+
+// Applies a batch to a map's books, and by hold(edit) to what holds its splats.
+template <typename Hold>
+BatchReport apply(GaussianMap& map, const GaussianBatch& batch, const Hold& hold) {
+  BatchReport report;
+  map.apply(batch, report, [&](const auto& edit, const MapState&) { hold(*edit); });
+  return report;
+}
+
+// What is known of a map, by the names of MapState. state(target): its MapState.
+template <typename Target, typename... Bases, typename State>
+void defineState(py::class_<Target, Bases...>& type, State state) {
+  const auto define = [&](const char* name, auto MapState::* field) {
+    type.def_property_readonly(name, [=](const Target& target) { return state(target).*field; });
+  };
+  define("map_id", &MapState::id);
+  define("revision", &MapState::revision);
+  define("splats", &MapState::splats);
+  define("expected", &MapState::expected);
+  define("capacity", &MapState::capacity);
+  define("groups", &MapState::groups);
+  define("missed", &MapState::missed);
+  define("dropped", &MapState::dropped);
+  define("pulled", &MapState::pulled);
+}
 
 // A method `apply` that takes a GaussianArray. take: a function of the target and a batch.
 template <typename Target, typename... Bases, typename Take>
