@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <new>
 #include <stdexcept>
 #include <utility>
 
@@ -216,19 +215,12 @@ void VoxelMap::sum(const std::vector<PageSpan>& parts, int sign) {
   }
   tasks.push_back(parts.size());
   std::vector<Shares> shares(team_.size());  // by member
-  std::atomic<bool> out_of_memory{false};
-  team_.run(unsigned(tasks.size() - 1), [&](unsigned number, unsigned member) {
-    try {
-      Shares& mine = shares[member];
-      for (std::size_t part = tasks[number]; part < tasks[number + 1]; ++part) {
-        if (count_ > grid_.most) return;
-        share(parts[part], sign, mine);
-      }
-    } catch (const std::bad_alloc&) {
-      out_of_memory = true;
+  inParts(&team_, tasks.size() - 1, [&](std::size_t number, unsigned member) {
+    for (std::size_t part = tasks[number]; part < tasks[number + 1]; ++part) {
+      if (count_ > grid_.most) return;
+      share(parts[part], sign, shares[member]);
     }
   });
-  if (out_of_memory) throw std::bad_alloc();
   inParts(&team_, kShards, [&](std::size_t number) {
     for (Shares& each : shares) hand(number, each);
   });

@@ -156,7 +156,6 @@ bool CpuRasterizer::Work::run(const PictureRequest& request, const Wanted& wante
 // Takes the request's sizes, and refuses what does not fit them.
 void CpuRasterizer::Work::begin(const PictureRequest& request) {
   cancel = request.cancelled;
-  out_of_memory = false;
   profile.clear();
   began = Clock::now();
   const SplatCamera& camera = request.layers.front().camera;
@@ -228,23 +227,18 @@ void CpuRasterizer::Work::drawTiles(const PictureRequest& request, const Wanted&
                                     bool contributes) {
   if (contributes) of_listed.reserve(total_pairs);
   std::atomic<std::size_t> next{0};
-  team->run(unsigned(members.size()), [&](unsigned, unsigned number) {
+  rosplat::inParts(team.get(), members.size(), [&](std::size_t, unsigned number) {
     Member& member = members[number];
-    try {
-      for (std::size_t tile; (tile = next++) < tiles && !cancelled();) {
-        sortTile(tile, member);
-        if (!wanted.picture) pick(request, *wanted.picked, first, tile, member);
-        if (wanted.blends()) {
-          const auto draw = request.samples ? &Work::blendSamples : &Work::blend;
-          (this->*draw)(request, *wanted.picture, first, tile, member);
-        }
-        if (contributes) contribute(request, *wanted.picture, first, tile, member);
+    for (std::size_t tile; (tile = next++) < tiles && !cancelled();) {
+      sortTile(tile, member);
+      if (!wanted.picture) pick(request, *wanted.picked, first, tile, member);
+      if (wanted.blends()) {
+        const auto draw = request.samples ? &Work::blendSamples : &Work::blend;
+        (this->*draw)(request, *wanted.picture, first, tile, member);
       }
-    } catch (const std::bad_alloc&) {
-      out_of_memory = true;
+      if (contributes) contribute(request, *wanted.picture, first, tile, member);
     }
   });
-  if (out_of_memory) throw std::bad_alloc();
   if (contributes && !cancelled()) addUp(*wanted.contributions);
 }
 

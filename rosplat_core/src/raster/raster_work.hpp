@@ -10,13 +10,13 @@
 #include <cstdint>
 #include <map>
 #include <memory>
-#include <new>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "raster/kernels.hpp"
 #include "rosplat_core/raster/cpu_rasterizer.hpp"
+#include "rosplat_core/threads/in_parts.hpp"
 #include "rosplat_core/threads/scratch_buffer.hpp"
 #include "rosplat_core/views/seen_group.hpp"
 
@@ -218,7 +218,6 @@ struct CpuRasterizer::Work {
   std::size_t tiles = 0, pixels = 0, total_pairs = 0;
 
   const std::atomic<bool>* cancel = nullptr;
-  std::atomic<bool> out_of_memory{false};
   std::map<std::string, double> profile;
   std::chrono::steady_clock::time_point began;
 };
@@ -227,17 +226,12 @@ template <typename Step>
 void CpuRasterizer::Work::inParts(std::size_t count, std::size_t least_share, const Step& step) {
   const std::size_t most = members.size() > 1 ? 2 * members.size() : 1;
   parts.resize(std::min(most, 1 + count / least_share));
-  team->run(unsigned(parts.size()), [&](unsigned number, unsigned member) {
+  rosplat::inParts(team.get(), parts.size(), [&](std::size_t number, unsigned member) {
     StepShare& part = parts[number];
     part.begin = count * number / parts.size();
     part.end = count * (number + 1) / parts.size();
-    try {
-      step(part, members[member]);
-    } catch (const std::bad_alloc&) {
-      out_of_memory = true;
-    }
+    step(part, members[member]);
   });
-  if (out_of_memory) throw std::bad_alloc();
 }
 
 }  // namespace rosplat

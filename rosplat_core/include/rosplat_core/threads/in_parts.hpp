@@ -3,19 +3,25 @@
 #include <atomic>
 #include <cstddef>
 #include <new>
+#include <type_traits>
 
 #include "rosplat_core/threads/thread_team.hpp"
 
 namespace rosplat {
 
-// Calls step(number) for each number below count, in parallel if there is a team. If any step
-// throws std::bad_alloc, throws that once all steps have ended.
+// Calls step(number), or step(number, member) as ThreadTeam::run() does, for each number below
+// count, in parallel if there is a team. If any step throws std::bad_alloc, throws that once all
+// steps have ended.
 template <typename Step>
 void inParts(ThreadTeam* team, std::size_t count, const Step& step) {
   std::atomic<bool> out_of_memory{false};
-  const auto task = [&](unsigned number, unsigned) {
+  const auto task = [&](unsigned number, unsigned member) {
     try {
-      step(number);
+      if constexpr (std::is_invocable_v<Step, unsigned, unsigned>) {
+        step(number, member);
+      } else {
+        step(number);
+      }
     } catch (const std::bad_alloc&) {
       out_of_memory = true;
     }
