@@ -23,11 +23,8 @@ struct CutView {
   bool orthographic;
 };
 
-// The camera for the first test of a slot: SortView, with the clip box and the cut.
-struct CullView {
-  float fx, fy, offset_x, offset_y, half_width, half_height, slope_x, slope_y;
-  float near_clip, far_clip;
-  bool orthographic;
+// The camera for the first test of a slot, with the clip box and the cut. Its pose: as GroupView.
+struct CullView : SortView {
   bool clip_to_box;
   float half_box[3];  // [m]
   CutView cut;

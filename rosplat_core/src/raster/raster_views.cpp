@@ -20,20 +20,8 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, const PictureReques
   seen.groups = seenGroups(of_pages, layer.slots->index().groups(), box);
   seen.error = layer.levels ? layer.error : 0;
   seen.drawn = 0;
-  // All groups share this; SeenGroup has each group's pose.
-  const SortView view = sortView(camera, {}, 1.0);
   CullView& c = seen.cull;
-  c.fx = view.fx;
-  c.fy = view.fy;
-  c.offset_x = view.offset_x;
-  c.offset_y = view.offset_y;
-  c.half_width = view.half_width;
-  c.half_height = view.half_height;
-  c.slope_x = view.slope_x;
-  c.slope_y = view.slope_y;
-  c.near_clip = view.near_clip;
-  c.far_clip = view.far_clip;
-  c.orthographic = view.orthographic;
+  static_cast<SortView&>(c) = sortView(camera, {}, 1.0);
   c.through_lens = request.samples || request.lens;
   c.in_cone = request.lens.has_value();
   if (request.samples) {
@@ -51,8 +39,8 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, const PictureReques
 
   ProjectView& p = seen.project;
   static_cast<SplatSettings&>(p) = settings;
-  p.fx = view.fx;
-  p.fy = view.fy;
+  p.fx = c.fx;
+  p.fy = c.fy;
   p.cx = static_cast<float>(camera.cx);
   p.cy = static_cast<float>(camera.cy);
   p.width = static_cast<float>(camera.width);
@@ -65,7 +53,7 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, const PictureReques
   };
   tangents(0, camera.fx, whole.cx, whole.width);
   tangents(1, camera.fy, whole.cy, whole.height);
-  p.near_clip = view.near_clip;
+  p.near_clip = c.near_clip;
   p.ndc_scale = static_cast<float>(camera.ndc_scale);
   p.ndc_offset = static_cast<float>(camera.ndc_offset);
   p.now = static_cast<float>(request.now);

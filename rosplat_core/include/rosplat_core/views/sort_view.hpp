@@ -6,21 +6,10 @@
 #include <limits>
 
 #include "rosplat_core/slots/constants.hpp"
+#include "rosplat_core/views/group_view.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
 
 namespace rosplat {
-
-// A camera as the sorters need it, in float32.
-struct SortView {
-  float rotation[9];              // the positions' frame to camera optical frame, row-major
-  float translation[3];           // [m]
-  float fx, fy;                   // [px], orthographic [px/m]
-  float offset_x, offset_y;       // principal point from the picture's centre [px]
-  float half_width, half_height;  // of the picture, with a margin for the low-pass filter [px]
-  float slope_x, slope_y;         // growth of a footprint with a splat's extent [px], ortho [px/m]
-  float near_clip, far_clip;      // [m]
-  bool orthographic;
-};
 
 // The reach of the low-pass filter, 3.33 * sqrt(0.3) = 1.82 px, and of a disc's spot, 3.33 *
 // sqrt(0.5) = 2.35 px, with room for rounding.
