@@ -20,7 +20,6 @@
 #include <set>
 #include <utility>
 
-#include "rosplat_core/painter/depth_warp.hpp"
 #include "rosplat_core/threads/clock.hpp"
 #include "rosplat_core/threads/give_way.hpp"
 

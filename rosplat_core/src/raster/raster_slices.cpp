@@ -4,7 +4,7 @@
 #include <cmath>
 
 #include "raster/raster_work.hpp"
-#include "rosplat_core/views/page_bounds.hpp"
+#include "rosplat_core/views/page_view.hpp"
 
 namespace rosplat {
 

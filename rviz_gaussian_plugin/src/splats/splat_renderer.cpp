@@ -22,7 +22,6 @@
 #include "gl/object.hpp"
 #include "gl/pixels.hpp"
 #include "gl/scopes.hpp"
-#include "gl/turn.hpp"
 
 namespace rosplat {
 

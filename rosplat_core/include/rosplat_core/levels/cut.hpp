@@ -2,11 +2,12 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 
 #include "rosplat_core/map/slot_pages.hpp"
-#include "rosplat_core/views/page_bounds.hpp"
+#include "rosplat_core/views/page_view.hpp"
 #include "rosplat_core/views/splat_camera.hpp"
 
 namespace rosplat {
@@ -24,7 +25,12 @@ struct Cut {
 
   Cut() = default;
   // camera: in the group's frame; blends: else s is a step.
-  Cut(const SplatCamera& camera, const std::array<double, 3>& origin, double error, bool blends);
+  Cut(const SplatCamera& camera, const std::array<double, 3>& origin, double error, bool blends)
+      : eye(eyeOf(camera, origin)),
+        focal(std::max(camera.fx, camera.fy)),
+        orthographic(camera.orthographic),
+        from(error * (blends ? std::sqrt(0.5) : 1 - 1e-5)),
+        to(error) {}
 
   // The squared errors of cells, by their corners and size [m]. [px2]
   template <std::size_t N>
@@ -32,7 +38,11 @@ struct Cut {
                                      float size) const;
   // Whether anything of a page may have a share. own: the width of its nodes' cells, 0 for splats;
   // parent: the width of the widest parent cell. [m]
-  bool mayShow(const SlotPage& page, float own, float parent) const;
+  bool mayShow(const SlotPage& page, float own, float parent) const {
+    PageBounds<1> bounds;
+    bounds.put(0, page);
+    return mayShow<1>(bounds, own, {parent})[0];
+  }
   // The same for several pages: 1 or 0 each.
   template <std::size_t N>
   std::array<std::uint32_t, N> mayShow(const PageBounds<N>& pages, float own,

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "rosplat_core/map/slot_pages.hpp"
-#include "rosplat_core/views/page_bounds.hpp"
+#include "rosplat_core/views/page_view.hpp"
 
 namespace rosplat {
 

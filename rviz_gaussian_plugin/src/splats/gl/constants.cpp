@@ -1,9 +1,9 @@
-#include "gl/constants.hpp"
+#include "rosplat_core/slots/constants.hpp"
 
 #include <cstdint>
 #include <cstdio>
 
-#include "rosplat_core/slots/constants.hpp"
+#include "gl/shaders.hpp"
 #include "rosplat_core/views/conic.hpp"
 
 namespace rosplat {

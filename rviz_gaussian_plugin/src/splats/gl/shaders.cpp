@@ -4,7 +4,6 @@
 #include <limits>
 
 #include "gl/buffer.hpp"
-#include "gl/constants.hpp"
 #include "gl/driver.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
 

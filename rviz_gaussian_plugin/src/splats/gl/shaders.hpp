@@ -18,6 +18,9 @@ constexpr int tilesIn(int pixels) { return (pixels + 15) / 16; }
 // Reads a shader's source by file name.
 using ShaderSource = std::function<std::string(const std::string& name)>;
 
+// The engine's constants that shaders use, in GLSL: constants.cpp.
+std::string constantsInGlsl();
+
 // What splats are drawn as. Programs of each know those before it, too, and cost more than those.
 enum class Shapes {
   kEllipses,  // in the picture: Model::kEwa, kEwaAntialiased
