@@ -45,7 +45,7 @@ std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, bool rest, co
     begin = end;
   }
   taken->runs.shrink_to_fit();
-  const auto copy = [&](const auto& values, auto& to, std::size_t width) {
+  const auto copy = [&](std::size_t width, const auto& values, auto& to) {
     if (values.empty()) return;
     to.reserve(width * countSlots(taken->runs));
     for (const auto& [first, count] : kept) {
@@ -53,8 +53,8 @@ std::shared_ptr<const GaussianEdit> part(const GaussianEdit& edit, bool rest, co
       to.insert(to.end(), at, at + std::ptrdiff_t(width * count));
     }
   };
-  copy(edit.extents, taken->extents, 1);
-  forEachArray(edit, *taken, copy);
+  copy(1, edit.extents, taken->extents);
+  forEachArray(copy, edit, *taken);
   return taken;
 }
 

@@ -300,9 +300,7 @@ class SlotUse {
 
 std::size_t SlotArrays::bytes() const {
   std::size_t words = 0;
-  forEachArray(*this, *this, [&words](const auto& array, const auto&, std::size_t) {
-    words += array.capacity();
-  });
+  forEachArray([&words](std::size_t, const auto& array) { words += array.capacity(); }, *this);
   return words * sizeof(std::uint32_t);
 }
 

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <stdexcept>
+#include <type_traits>
 #include <utility>
 
 #include "rosplat_core/slots/constants.hpp"
@@ -106,11 +108,9 @@ void VoxelMap::Voxel::operator+=(const Voxel& other) {
 }
 
 bool VoxelMap::Voxel::empty() const {
-  const auto zero = [](auto sum) { return sum == 0; };
-  return std::all_of(depth.begin(), depth.end(), zero) &&
-         std::all_of(color.begin(), color.end(), zero) &&
-         std::all_of(offset.begin(), offset.end(), zero) &&
-         std::all_of(normal.begin(), normal.end(), zero);
+  constexpr Voxel kNothing;
+  static_assert(std::has_unique_object_representations_v<Voxel>);
+  return std::memcmp(this, &kNothing, sizeof(kNothing)) == 0;
 }
 
 std::size_t VoxelMap::Hash::operator()(std::uint64_t key) const { return mixed(key); }

@@ -1,6 +1,7 @@
 #include "splat_scene.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <new>
 
 #include "rosplat_core/threads/clock.hpp"
@@ -200,20 +201,18 @@ void SplatScene::Picture::drawPick(Canvas canvas, std::uint32_t number) const {
 
 void SplatScene::keepPace(const std::string& view_id, FrameReport& report) {
   constexpr double kOfLate = 2;  // [s]
-  auto& [times, ages, offs] = paces_[view_id];
-  times.push_back(now());
-  ages.push_back(report.picture_age);
-  offs.push_back(report.camera_off);
-  while (times.front() < times.back() - kOfLate) {
-    times.pop_front();
-    ages.pop_front();
-    offs.pop_front();
+  std::deque<PastFrame>& frames = paces_[view_id];
+  frames.push_back({now(), report.picture_age, report.camera_off});
+  while (frames.front().time < frames.back().time - kOfLate) frames.pop_front();
+  for (const PastFrame& frame : frames) {
+    report.picture_age = std::max(report.picture_age, frame.age);
+    report.camera_off = std::max(report.camera_off, frame.off);
   }
-  report.picture_age = *std::max_element(ages.begin(), ages.end());
-  report.camera_off = *std::max_element(offs.begin(), offs.end());
-  if (times.size() < 2) return;
+  if (frames.size() < 2) return;
   std::vector<double> intervals;
-  for (std::size_t i = 1; i < times.size(); ++i) intervals.push_back(times[i] - times[i - 1]);
+  for (auto next = frames.begin() + 1; next != frames.end(); ++next) {
+    intervals.push_back(next->time - std::prev(next)->time);
+  }
   const auto most = intervals.begin() + std::ptrdiff_t((intervals.size() - 1) * 19 / 20);
   std::nth_element(intervals.begin(), most, intervals.end());
   report.frame_interval = *most;

@@ -131,10 +131,9 @@ class SplatScene {
   DrawnBytes bytes() const { return drawer_ ? drawer_->bytes() : DrawnBytes{}; }
 
  private:
-  // A view's recent frames.
-  struct Pace {
-    // Times of frames, ages of their pictures, and time offsets of these pictures' cameras [s].
-    std::deque<double> times, ages, offs;
+  // A frame's time, its picture's age, and the time offset of this picture's camera. [s]
+  struct PastFrame {
+    double time, age, off;
   };
 
   void exchange(DrawnBy by);
@@ -158,7 +157,7 @@ class SplatScene {
   MapState booked_;  // the state that book_ takes orders of
   std::map<std::string, SplatCamera> cameras_;
   std::map<std::string, FrameReport> reports_;
-  std::map<std::string, Pace> paces_;
+  std::map<std::string, std::deque<PastFrame>> paces_;  // recent frames
   std::unique_ptr<Drawer> drawer_;
   std::optional<Rasterizer> asked_;  // of the last settings
   std::string refusal_;              // why drawer_ isn't the one asked for

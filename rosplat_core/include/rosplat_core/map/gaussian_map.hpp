@@ -33,15 +33,16 @@ struct SlotArrays {
   std::size_t bytes() const;
 };
 
-// Calls each(array, the same array of others, values a slot) for all arrays.
-template <typename Arrays, typename Others, typename Each>
-void forEachArray(Arrays& arrays, Others& others, const Each& each) {
-  each(arrays.slots, others.slots, std::size_t(kSlotWords));
-  for (std::size_t band = 1; band < arrays.bands.size(); ++band) {
-    each(arrays.bands[band], others.bands[band], std::size_t(kBandWords[band]));
+// Calls each(values a slot, array of the first, array of the next, ...) for all arrays of
+// SlotArrays, or of what has arrays of the same names.
+template <typename Each, typename... Of>
+void forEachArray(const Each& each, Of&... of) {
+  each(std::size_t(kSlotWords), of.slots...);
+  for (std::size_t band = 1; band < kBandWords.size(); ++band) {
+    each(std::size_t(kBandWords[band]), of.bands[band]...);
   }
-  for (std::size_t channel = 0; channel < arrays.channels.size(); ++channel) {
-    each(arrays.channels[channel], others.channels[channel], std::size_t(1));
+  for (std::size_t channel = 0; channel < kMostChannels; ++channel) {
+    each(std::size_t(1), of.channels[channel]...);
   }
 }
 

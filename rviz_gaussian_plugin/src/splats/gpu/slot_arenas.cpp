@@ -103,9 +103,8 @@ void SlotArenas::makeRoom(std::uint32_t pages) {
 std::size_t SlotArenas::bytes() const {
   std::size_t bytes = 0;
   for (const Arena& arena : arenas_) {
-    bytes += arena.slots.bytes() + arena.levels.bytes();
-    for (const gl::Buffer& band : arena.bands) bytes += band.bytes();
-    for (const gl::Buffer& channel : arena.channels) bytes += channel.bytes();
+    bytes += arena.levels.bytes();
+    forEachArray([&bytes](std::size_t, const gl::Buffer& held) { bytes += held.bytes(); }, arena);
   }
   return bytes;
 }

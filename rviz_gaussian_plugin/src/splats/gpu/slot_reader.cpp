@@ -13,14 +13,12 @@ namespace {
 
 constexpr std::size_t kWord = sizeof(std::uint32_t);
 
+// words: a row, with the slot's channels behind it.
 SplatValues unpack(std::uint32_t slot, const Group& group, const std::uint32_t* words,
                    int sh_degree, std::size_t channels) {
-  std::array<const std::uint32_t*, kMaxShDegree + 1> bands{nullptr, words + kSlotWords};
-  for (int band = 1; band < sh_degree; ++band) bands[band + 1] = bands[band] + kBandWords[band];
-  SplatValues values = valuesOf(slot, group, words, sh_degree, bands);
-  const std::uint32_t* further = words + kSlotWords;
-  for (int band = 1; band <= sh_degree; ++band) further += kBandWords[band];
+  SplatValues values = valuesOf(slot, group, words, sh_degree, bandsOf(words));
   values.channels.resize(channels);
+  const std::uint32_t* const further = words + rowWords(sh_degree);
   if (channels > 0) std::memcpy(values.channels.data(), further, channels * kWord);
   return values;
 }
@@ -47,9 +45,7 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
   if (held.empty()) return values;
   std::sort(held.begin(), held.end(), [](auto& a, auto& b) { return a.arena < b.arena; });
 
-  std::size_t stride = kSlotWords;
-  for (int band = 1; band <= store.shDegree(); ++band) stride += std::size_t(kBandWords[band]);
-  stride += store.channels();
+  const std::size_t stride = std::size_t(rowWords(store.shDegree())) + store.channels();
   std::vector<std::uint32_t> words(held.size());
   std::transform(held.begin(), held.end(), words.begin(), [](const Held& of) { return of.place; });
   gl::Buffer wanted(words.size() * kWord, GL_STREAM_DRAW);
@@ -68,7 +64,8 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
     gather_.set("first", static_cast<GLuint>(first));
     gather_.set("count", static_cast<GLuint>(next - first));
     GLuint offset = 0;
-    const auto gather = [&](const gl::Buffer& held_there, int words_of_each) {
+    const auto gather = [&](std::size_t words_of_each, const gl::Buffer& held_there) {
+      if (!held_there.id()) return;
       const auto size = static_cast<GLuint>(words_of_each);
       gather_.bind("Held", held_there);
       gather_.set("words", size);
@@ -76,13 +73,7 @@ std::vector<SplatValues> SlotReader::read(const SlotStore& store,
       gl::dispatchInvocations((next - first) * size);
       offset += size;
     };
-    gather(arena.slots, kSlotWords);
-    for (int band = 1; band <= store.shDegree(); ++band) {
-      gather(arena.bands[band], kBandWords[band]);
-    }
-    for (std::size_t channel = 0; channel < store.channels(); ++channel) {
-      gather(arena.channels[channel], 1);
-    }
+    forEachArray(gather, arena);
   }
   gl::storageBarrier();
   gathered.read(0, words.data(), gathered.bytes());
@@ -110,40 +101,32 @@ PackedRun PageReader::read(const SlotStore& store, std::size_t first, std::size_
   run.group = store.pages().groupOf(page);
   run.first_slot = page.first_slot;
   run.sh_degree = store.shDegree();
-  // Clears what another map left in `run`.
-  for (int band = run.sh_degree + 1; band <= kMaxShDegree; ++band) run.bands[band].clear();
-  for (std::size_t channel = store.channels(); channel < kMostChannels; ++channel) {
-    run.channels[channel].clear();
-  }
-  // Calls take(buffer, bytes of each slot, where they go) for all that the card holds of a slot.
   const SlotStore::Arena& arena = store.arenas()[place.arena];
-  const auto eachPart = [&](const auto& take) {
-    take(arena.slots, kSlotBytes, run.slots);
-    for (int band = 1; band <= store.shDegree(); ++band) {
-      take(arena.bands[band], bandBytes(band), run.bands[band]);
-    }
-    for (std::size_t channel = 0; channel < store.channels(); ++channel) {
-      take(arena.channels[channel], kWord, run.channels[channel]);
-    }
-  };
   const std::size_t slots = pages * SlotPage::kSlots;
-  std::size_t bytes = 0;
-  eachPart([&](const auto&, std::size_t of_slot, const auto&) { bytes += slots * of_slot; });
-  if (!copy_ || copy_->bytes() < bytes) {
-    copy_.emplace(bytes / kWord);
+  std::size_t total = 0;  // words
+  const auto makeRoom = [&](std::size_t words, const gl::Buffer& from, auto& values) {
+    values.resize(from.id() ? slots * words : 0);
+    total += values.size();
+  };
+  forEachArray(makeRoom, arena, run);
+  if (!copy_ || copy_->bytes() < total * kWord) {
+    copy_.emplace(total);
     gl::settle();
   }
   std::size_t to = 0;
-  eachPart([&](const gl::Buffer& from, std::size_t of_slot, const auto&) {
-    copy_->ask(from, place.page * SlotPage::kSlots * of_slot, slots * of_slot, to);
-    to += slots * of_slot;
-  });
+  const auto ask = [&](std::size_t words, const gl::Buffer& from, const auto& values) {
+    if (values.empty()) return;
+    const std::size_t first_word = place.page * SlotPage::kSlots * words;
+    copy_->ask(from, first_word * kWord, values.size() * kWord, to);
+    to += values.size() * kWord;
+  };
+  forEachArray(ask, arena, run);
   const GLuint* words = copy_->wait();
-  eachPart([&](const auto&, std::size_t of_slot, auto& values) {
-    values.resize(slots * of_slot / kWord);
-    std::memcpy(values.data(), words, slots * of_slot);
+  const auto copy = [&words](std::size_t, auto& values) {
+    if (!values.empty()) std::memcpy(values.data(), words, values.size() * kWord);
     words += values.size();
-  });
+  };
+  forEachArray(copy, run);
   return run;
 }
 

@@ -156,16 +156,13 @@ void SlotStore::scatter(const GaussianEdit& edit, const std::vector<Piece>& piec
 void SlotStore::scatter(const GaussianEdit& edit, const Arena& arena,
                         const std::vector<Spot>& spots, std::uint32_t change) {
   // The shader gets a slot's place, then the slot's words for each of these buffers.
-  std::vector<std::pair<const gl::Buffer*, std::size_t>> held{{&arena.slots, kSlotBytes}};
-  if (edit.sh_degree >= 0) {
-    for (int band = 1; band <= shDegree(); ++band) {
-      held.emplace_back(&arena.bands[band], bandBytes(band));
-    }
-    for (std::size_t channel = 0; channel < channels(); ++channel) {
-      held.emplace_back(&arena.channels[channel], kWord);
-    }
-    if (arena.levels.id()) held.emplace_back(&arena.levels, 1);
-  }
+  std::vector<std::pair<const gl::Buffer*, std::size_t>> held;
+  const auto add = [&held](std::size_t words, const gl::Buffer& buffer) {
+    if (buffer.id()) held.emplace_back(&buffer, words * kWord);
+  };
+  forEachArray(add, arena);
+  if (arena.levels.id()) held.emplace_back(&arena.levels, 1);
+  if (edit.sh_degree < 0) held.resize(1);  // slots that are emptied
   const auto wordsOf = [](std::size_t bytes) { return std::max<std::size_t>(bytes / kWord, 1); };
   std::size_t stride = 1;
   for (const auto& [buffer, bytes] : held) stride += wordsOf(bytes);
