@@ -271,8 +271,9 @@ void Levels::begin(const HostSlots& slots) {
   job->marked = std::move(next->second);
   marked_.erase(next);
   job_ = std::move(job);
-  inParts(team_.get(), job_->marked.size(),
-          [this, &slots](std::size_t i) { know(slots, *slots.index().find(job_->marked[i])); });
+  inParts(team_.get(), job_->marked.size(), [this, &slots](std::size_t i) {
+    rememberCells(slots, *slots.index().find(job_->marked[i]));
+  });
   for (const auto& [known, to] : regrouped) {
     known->group = to;
     known->marked.set();
@@ -290,7 +291,7 @@ Cell Levels::cellOf(const Known& known, const SlotPage& of, const HostSlots::Pag
 }
 
 // Notes that the nodes will hold the marked slots as they are now.
-void Levels::know(const HostSlots& slots, const SlotPage& of) {
+void Levels::rememberCells(const HostSlots& slots, const SlotPage& of) {
   Known& known = *known_[of.place];
   for (std::uint32_t i = 0; i < kSlots; ++i) {
     if (known.marked[i]) known.cells[i] = cellOf(known, of, slots.at(of), i);

@@ -15,7 +15,7 @@ MapState CardDrawer::update(bool all) {
   UploadBudget budget;
   if (!all) budget.all = kUploadBytesPerFrame;
   const auto upload = [&](const EditQueue::Waiting& arrival) {
-    take(arrival);
+    apply(arrival);
     budget.used += uploadBytes(*arrival.edit);
   };
   while (taker_.take(upload, budget)) {
@@ -24,7 +24,7 @@ MapState CardDrawer::update(bool all) {
   return map_;
 }
 
-void CardDrawer::take(const EditQueue::Waiting& arrival) {
+void CardDrawer::apply(const EditQueue::Waiting& arrival) {
   const auto& [edit, state, now, taken, more] = arrival;
   if (edit->clear) {
     // A map that comes in parts is built beside the drawn one, and shown once it is whole.

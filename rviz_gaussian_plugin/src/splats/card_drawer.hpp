@@ -54,7 +54,7 @@ class CardDrawer : public Drawer {
  private:
   void load(const GaussianEdit& page) override;
   void load(const MapState& map) override { map_ = map; }
-  void take(const EditQueue::Waiting& arrival);
+  void apply(const EditQueue::Waiting& arrival);
   OrderPtr unsorted();
   // The picture with the maps as the card holds them.
   static CardPicture onCard(const Picture& picture);

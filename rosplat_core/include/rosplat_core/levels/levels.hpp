@@ -159,7 +159,7 @@ class Levels {
   Changes sorted(const std::vector<FoundChanges>& parts) const;
   static Cell cellOf(const Known& known, const SlotPage& of, const HostSlots::Page& page,
                      std::uint32_t i);
-  void know(const HostSlots& slots, const SlotPage& page);
+  void rememberCells(const HostSlots& slots, const SlotPage& page);
   void nextLevel();
   bool isLast(const Pages& pages) const;
   std::vector<Cell> touchedCells(int level, const Pages& finer) const;

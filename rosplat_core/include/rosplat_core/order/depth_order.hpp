@@ -146,8 +146,8 @@ class DepthOrder {
   // Writes the keys of the depths of count splats, and 1 for visible ones, else 0. No branches, and
   // a loop for each projection, so that compilers vectorise.
   ROSPLAT_VECTORISED
-  static void look(const SortView& camera, const float* positions, const float* extents,
-                   std::size_t count, std::uint32_t* keys, std::uint32_t* seen) {
+  static void findVisible(const SortView& camera, const float* positions, const float* extents,
+                          std::size_t count, std::uint32_t* keys, std::uint32_t* seen) {
     const SortView view = camera;  // a copy that no store below can alias
     const auto each = [&](auto w_of) {
       for (std::size_t i = 0; i < count; ++i) {
@@ -218,7 +218,8 @@ class DepthOrder {
       const std::size_t row = splats.row(sample);
       std::uint32_t key;
       std::uint32_t seen;
-      look(splats.view(sample), splats.positions + 3 * row, splats.extents + row, 1, &key, &seen);
+      findVisible(splats.view(sample), splats.positions + 3 * row, splats.extents + row, 1, &key,
+                  &seen);
       if (seen) samples_.push_back(key);
     }
     buckets_ = worth(splats.count / tries * samples_.size());
@@ -269,8 +270,8 @@ class DepthOrder {
     for (std::size_t first = part.begin; first < part.end; first += kBlock) {
       const std::size_t size = std::min(kBlock, part.end - first);  // in one page, of one view
       const std::size_t row = splats.row(first);
-      look(splats.view(first), splats.positions + 3 * row, splats.extents + row, size, keys.data(),
-           seen.data());
+      findVisible(splats.view(first), splats.positions + 3 * row, splats.extents + row, size,
+                  keys.data(), seen.data());
       const std::uint32_t slot = splats.slot(first);
       for (std::size_t i = 0; i < size; ++i) {
         *out = {keys[i], slot + std::uint32_t(i)};

@@ -66,10 +66,10 @@ void UploadRing::copy(const Buffer& to, std::size_t offset, std::size_t bytes) {
   glBindBuffer(GL_COPY_WRITE_BUFFER, to.id());
   glCopyBufferSubData(GL_COPY_READ_BUFFER, GL_COPY_WRITE_BUFFER, static_cast<GLintptr>(used_),
                       static_cast<GLintptr>(offset), static_cast<GLsizeiptr>(bytes));
-  use(bytes);
+  markInUse(bytes);
 }
 
-void UploadRing::use(std::size_t bytes) {
+void UploadRing::markInUse(std::size_t bytes) {
   used_ = std::min(part_.bytes, (used_ + bytes + kAlignment - 1) / kAlignment * kAlignment);
 }
 

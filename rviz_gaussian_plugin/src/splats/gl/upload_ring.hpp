@@ -32,7 +32,7 @@ class UploadRing {
   void write(const Buffer& to, std::size_t first, std::size_t count, std::size_t width,
              const Fill& fill) {
     const std::size_t bytes = width * sizeof(Value);
-    lend<Value>(count, width, fill, [&](std::size_t done, std::size_t n) {
+    inChunks<Value>(count, width, fill, [&](std::size_t done, std::size_t n) {
       copy(to, (first + done) * bytes, n * bytes);
     });
   }
@@ -48,10 +48,10 @@ class UploadRing {
   // read(from, first, n) for n items at a time, which begin at the first-th value of `from`. Every
   // driver lets a shader read a slice as large as `from`.
   template <typename Value, typename Fill, typename Read>
-  void show(std::size_t count, std::size_t width, const Fill& fill, const Read& read) {
-    lend<Value>(count, width, fill, [&](std::size_t, std::size_t n) {
+  void readByShader(std::size_t count, std::size_t width, const Fill& fill, const Read& read) {
+    inChunks<Value>(count, width, fill, [&](std::size_t, std::size_t n) {
       read(Slice{part_.buffer.id(), 0, part_.bytes}, used_ / sizeof(Value), n);
-      use(n * width * sizeof(Value));
+      markInUse(n * width * sizeof(Value));
     });
   }
   // Writes one value everywhere.
@@ -79,7 +79,7 @@ class UploadRing {
 
   // Calls fill(), then take(done, n), for some items at a time. done: number of items taken before.
   template <typename Value, typename Fill, typename Take>
-  void lend(std::size_t count, std::size_t width, const Fill& fill, const Take& take) {
+  void inChunks(std::size_t count, std::size_t width, const Fill& fill, const Take& take) {
     const std::size_t bytes = width * sizeof(Value);
     for (std::size_t done = 0, n; done < count; done += n) {
       void* const memory = room(bytes);
@@ -94,7 +94,7 @@ class UploadRing {
   // Submits a copy of what was written to room().
   void copy(const Buffer& to, std::size_t offset, std::size_t bytes);
   // Marks what was written to room() as in use: not written again before the card is through.
-  void use(std::size_t bytes);
+  void markInUse(std::size_t bytes);
 
   MappedBuffer part_;              // the part that is written to
   std::size_t used_ = 0;           // bytes of `part_` in use

@@ -14,7 +14,7 @@ constexpr std::uint32_t kOfSlots = 0xffffffffu;  // level of a page of slots
 
 }  // namespace
 
-void PageTable::keep(const Frame& frame, const std::vector<std::vector<SeenGroup>>& groups) {
+void PageTable::choose(const Frame& frame, const std::vector<std::vector<SeenGroup>>& groups) {
   all_ = 0;
   first_slots_.clear();
   ranges_.clear();
@@ -30,7 +30,7 @@ void PageTable::keep(const Frame& frame, const std::vector<std::vector<SeenGroup
     add(frame.layers[layer].store.arenas());
     if (frame.layers[layer].cuts()) add(frame.layers[layer].nodes->arenas());
     of_arenas_.resize(std::max(of_arenas_.size(), ranges_.size()));
-    keep(frame.layers[layer], groups[layer], first_arena, first_group);
+    choose(frame.layers[layer], groups[layer], first_arena, first_group);
     first_group += groups[layer].size();
   }
   layer_begins_.push_back(first_slots_.size());
@@ -54,8 +54,8 @@ void PageTable::keep(const Frame& frame, const std::vector<std::vector<SeenGroup
   entries_.swap(uploaded_);
 }
 
-void PageTable::keep(const FrameLayer& layer, const std::vector<SeenGroup>& groups,
-                     std::size_t first_arena, std::size_t first_group) {
+void PageTable::choose(const FrameLayer& layer, const std::vector<SeenGroup>& groups,
+                       std::size_t first_arena, std::size_t first_group) {
   const SlotStore& store = layer.store;
   std::vector<Cut> cuts;
   for (std::size_t group = 0; layer.cuts() && group < groups.size(); ++group) {
@@ -63,8 +63,8 @@ void PageTable::keep(const FrameLayer& layer, const std::vector<SeenGroup>& grou
   }
   // own: width of the nodes' own cells, 0 for slots [m]. placeOf(place): where an arena has a page,
   // if one has it.
-  const auto keepShown = [&](const PageShelf& shelf, float own, std::size_t arenas,
-                             std::uint32_t level, const auto& placeOf) {
+  const auto chooseShown = [&](const PageShelf& shelf, float own, std::size_t arenas,
+                               std::uint32_t level, const auto& placeOf) {
     all_ += shelf.end - shelf.begin;
     const std::uint32_t group = shelf.bounds.group;
     const PageView& view = groups[group].pages;
@@ -89,7 +89,7 @@ void PageTable::keep(const FrameLayer& layer, const std::vector<SeenGroup>& grou
     }
   };
   for (const PageShelf& shelf : store.shelves()) {
-    keepShown(shelf, 0, first_arena, kOfSlots, [&](std::uint32_t place) {
+    chooseShown(shelf, 0, first_arena, kOfSlots, [&](std::uint32_t place) {
       return store.holds(place) ? std::optional(store.placeOf(place)) : std::nullopt;
     });
   }
@@ -98,9 +98,10 @@ void PageTable::keep(const FrameLayer& layer, const std::vector<SeenGroup>& grou
     for (const NodeStore::OfGroup& nodes : layer.nodes->groups()) {
       for (const PageShelf& shelf : nodes[std::size_t(number)].shelves) {
         const int around = shelf.widest_parent < kBoundless ? number + 1 : kLevels;
-        keepShown(shelf, cellSize(number), first_of_nodes,
-                  static_cast<std::uint32_t>(number | around << 8),
-                  [&](std::uint32_t place) { return std::optional(layer.nodes->placeOf(place)); });
+        chooseShown(shelf, cellSize(number), first_of_nodes,
+                    static_cast<std::uint32_t>(number | around << 8), [&](std::uint32_t place) {
+                      return std::optional(layer.nodes->placeOf(place));
+                    });
       }
     }
   }

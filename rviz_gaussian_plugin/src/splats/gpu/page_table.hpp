@@ -17,16 +17,16 @@ namespace rosplat {
 // arena.
 class PageTable {
  public:
-  // The kept pages of an arena: neighbours in the table.
+  // The chosen pages of an arena: neighbours in the table.
   struct Range {
     const SlotArenas::Arena* arena;
     std::size_t layer;  // of the frame
     std::size_t first, count;
   };
 
-  // Keeps the pages that a frame may show. The frame's stores must not change while ranges() are
+  // Chooses the pages that a frame may show. The frame's stores must not change while ranges() are
   // used. groups: those of each layer, as the view sees them, by index.
-  void keep(const Frame& frame, const std::vector<std::vector<SeenGroup>>& groups);
+  void choose(const Frame& frame, const std::vector<std::vector<SeenGroup>>& groups);
 
   std::size_t count() const { return first_slots_.size(); }
   std::size_t all() const { return all_; }  // pages that the maps have, in view or not
@@ -38,7 +38,7 @@ class PageTable {
   // The number of each layer's first page, and one past the last.
   const std::vector<std::size_t>& layerBegins() const { return layer_begins_; }
   // Only for a single map of `capacity` slots: returns its pages' numbers by first slot /
-  // SlotPage::kSlots, kNoSlot for pages that aren't kept.
+  // SlotPage::kSlots, kNoSlot for pages that weren't chosen.
   std::vector<std::uint32_t> numbers(std::uint32_t capacity) const;
 
   std::size_t bytes() const { return table_.bytes(); }
@@ -48,8 +48,8 @@ class PageTable {
     std::uint32_t number, page, group, level;
   };
   // first_arena, first_group: those of the layer, among the arenas and groups of all layers.
-  void keep(const FrameLayer& layer, const std::vector<SeenGroup>& groups, std::size_t first_arena,
-            std::size_t first_group);
+  void choose(const FrameLayer& layer, const std::vector<SeenGroup>& groups,
+              std::size_t first_arena, std::size_t first_group);
 
   std::size_t all_ = 0;
   std::vector<std::uint32_t> first_slots_;

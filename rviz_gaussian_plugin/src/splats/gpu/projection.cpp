@@ -47,7 +47,7 @@ void Projection::prepare(const Frame& frame, double growth) {
     for (const SeenGroup& group : groups.back()) views.push_back(group.floats);
     maps.emplace_back(layer);
   }
-  pages_.keep(frame, groups);
+  pages_.choose(frame, groups);
   groups_.upload(views);
   maps_.upload(maps);
   const Shapes shapes = frame.shapes();

@@ -206,7 +206,7 @@ void SlotStore::scatter(const GaussianEdit& edit, const Arena& arena,
       offset += words;
     }
   };
-  ring_.show<std::uint32_t>(spots.size(), stride, fill, read);
+  ring_.readByShader<std::uint32_t>(spots.size(), stride, fill, read);
 }
 
 const std::vector<PageShelf>& SlotStore::shelves() const {
