@@ -68,6 +68,21 @@ struct Lister : Ogre::QueuedRenderableVisitor {
   }
 };
 
+// Lists the translucent renderables of a queue, farthest first, or its solid ones, or both.
+std::vector<Ogre::RenderablePass> listed(Ogre::RenderQueueGroup& queue, bool translucent,
+                                         bool solid) {
+  Lister lister;
+  auto priorities = queue.getIterator();
+  while (priorities.hasMoreElements()) {
+    auto* const group = priorities.getNext();
+    using Collection = Ogre::QueuedRenderableCollection;
+    if (translucent)
+      group->getTransparents().acceptVisitor(&lister, Collection::OM_SORT_DESCENDING);
+    if (solid) group->getSolidsBasic().acceptVisitor(&lister, Collection::OM_PASS_GROUP);
+  }
+  return std::move(lister.found);
+}
+
 // The part of a camera's picture that some objects may cover. All of it if their bounds aren't
 // known, or reach behind the camera.
 PictureRect reachOf(const std::vector<Ogre::RenderablePass>& objects, const Ogre::Camera& camera,
@@ -258,47 +273,28 @@ bool SplatCloud::QueueEntry::preRender(Ogre::SceneManager* manager, Ogre::Render
 }
 
 std::vector<Ogre::RenderablePass> SplatCloud::translucent(Ogre::SceneManager& manager) const {
-  Lister lister;
-  auto priorities = manager.getRenderQueue()->getQueueGroup(Ogre::RENDER_QUEUE_MAIN)->getIterator();
-  while (priorities.hasMoreElements()) {
-    priorities.getNext()->getTransparents().acceptVisitor(
-        &lister, Ogre::QueuedRenderableCollection::OM_SORT_DESCENDING);
-  }
-  auto& found = lister.found;
+  auto found =
+      listed(*manager.getRenderQueue()->getQueueGroup(Ogre::RENDER_QUEUE_MAIN), true, false);
   found.erase(std::remove_if(found.begin(), found.end(),
                              [this](const Ogre::RenderablePass& object) {
                                return object.renderable->getMaterial() == material_;
                              }),
               found.end());
-  return std::move(found);
+  return found;
 }
 
 bool SplatCloud::anyOpaque(Ogre::SceneManager& manager) {
-  Lister lister;
-  const auto& groups = manager.getRenderQueue()->_getQueueGroups();
-  for (std::size_t id = 0; id < kRenderQueue; ++id) {
-    if (!groups[id]) continue;
-    auto priorities = groups[id]->getIterator();
-    while (priorities.hasMoreElements()) {
-      priorities.getNext()->getSolidsBasic().acceptVisitor(
-          &lister, Ogre::QueuedRenderableCollection::OM_PASS_GROUP);
-    }
-  }
-  return !lister.found.empty();
+  const auto& queues = manager.getRenderQueue()->_getQueueGroups();
+  return std::any_of(&queues[0], &queues[kRenderQueue], [](const auto& queue) {
+    return queue && !listed(*queue, false, true).empty();
+  });
 }
 
 std::vector<SplatCloud*> SplatCloud::cloudsIn(Ogre::SceneManager& manager) {
-  Lister lister;
-  auto priorities = manager.getRenderQueue()->getQueueGroup(kRenderQueue)->getIterator();
-  while (priorities.hasMoreElements()) {
-    auto* const group = priorities.getNext();
-    group->getTransparents().acceptVisitor(&lister,
-                                           Ogre::QueuedRenderableCollection::OM_SORT_DESCENDING);
-    // In the schemes of rviz's mouse tools the entries are solids.
-    group->getSolidsBasic().acceptVisitor(&lister, Ogre::QueuedRenderableCollection::OM_PASS_GROUP);
-  }
   std::vector<SplatCloud*> clouds;
-  for (const Ogre::RenderablePass& object : lister.found) {
+  // In the schemes of rviz's mouse tools the entries are solids.
+  for (const Ogre::RenderablePass& object :
+       listed(*manager.getRenderQueue()->getQueueGroup(kRenderQueue), true, true)) {
     if (const auto* entry = dynamic_cast<QueueEntry*>(object.renderable)) {
       clouds.push_back(&entry->cloud());
     }
