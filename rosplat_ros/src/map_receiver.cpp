@@ -157,7 +157,7 @@ class MapReceiver::Listener {
   }
 
   void receive(std::shared_ptr<const Message> message) {
-    note(message->map_id);
+    watchForRivals(message->map_id);
     pull_.held = options_.busy();
     // A REPLACE is taken in any case: it drops all that waits.
     if (pull_.held && served() && message->operation != Message::REPLACE) {
@@ -166,7 +166,7 @@ class MapReceiver::Listener {
     act(pull_.receive(labelled(std::move(message)), now(), served()));
   }
 
-  void note(const std::string& map_id) {
+  void watchForRivals(const std::string& map_id) {
     if (map_id == maps_[0]) return;
     const std::lock_guard lock(mutex_);
     report_.contended |= map_id == maps_[1];
@@ -182,7 +182,7 @@ class MapReceiver::Listener {
     if (step.request) send(*step.request);  // first, so that it is answered meanwhile
     if (step.subscribe_anew) subscribe_anew_ = true;
     for (const auto& [message, arrival] : step.batches) {
-      if (!take(*message, arrival)) {
+      if (!passOn(*message, arrival)) {
         pull_.restart(now());
         break;
       }
@@ -192,7 +192,7 @@ class MapReceiver::Listener {
   }
 
   // Returns false if there was no memory for a batch.
-  bool take(const Message& message, Arrival arrival) {
+  bool passOn(const Message& message, Arrival arrival) {
     try {
       on_batch_(message, arrival);
       const std::lock_guard lock(mutex_);

@@ -64,7 +64,7 @@ class SidecarSwitchTest : public testing::Test {
   bool becomes(const std::function<bool()>& so, bool hears = true) {
     const auto deadline = std::chrono::steady_clock::now() + 120s;
     while (!so() && std::chrono::steady_clock::now() < deadline) {
-      switch_.tell();
+      switch_.askSorters();
       if (hears) executor_.spin_some();
       std::this_thread::sleep_for(10ms);
     }
@@ -85,7 +85,7 @@ class SidecarSwitchTest : public testing::Test {
 
 TEST_F(SidecarSwitchTest, tellsWhoIsThereAndWhoComes) {
   switch_.ask("native");
-  switch_.tell();
+  switch_.askSorters();
   EXPECT_TRUE(switch_.report().failed);
   EXPECT_TRUE(says("no sidecar publishes /switched/order"));
   for (const char* name : {"first", "second"}) {

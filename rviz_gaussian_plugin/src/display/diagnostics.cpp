@@ -32,11 +32,11 @@ Diagnostics::Diagnostics(rclcpp::Node& node, const std::string& topic) : clock_(
   status_.hardware_id = host;
 }
 
-void Diagnostics::tell(const std::vector<StatusLine>& lines, const SplatScene& scene,
-                       std::size_t views) {
+void Diagnostics::publish(const std::vector<StatusLine>& lines, const SplatScene& scene,
+                          std::size_t views) {
   const auto now = std::chrono::steady_clock::now();
-  if (now - told_ < kPeriod) return;
-  told_ = now;
+  if (now - published_ < kPeriod) return;
+  published_ = now;
   const StatusLine& worst = *std::max_element(
       lines.begin(), lines.end(), [](const auto& a, const auto& b) { return a.level < b.level; });
   status_.level = static_cast<std::uint8_t>(worst.level);  // 0 to 2 in both

@@ -18,13 +18,13 @@ class Diagnostics {
   Diagnostics(rclcpp::Node& node, const std::string& topic);
 
   // Does nothing before a second has passed. lines: of the display's Status, at least one.
-  void tell(const std::vector<StatusLine>& lines, const SplatScene& scene, std::size_t views);
+  void publish(const std::vector<StatusLine>& lines, const SplatScene& scene, std::size_t views);
 
  private:
   rclcpp::Clock::SharedPtr clock_;
   rclcpp::Publisher<diagnostic_msgs::msg::DiagnosticArray>::SharedPtr publisher_;
   diagnostic_msgs::msg::DiagnosticStatus status_;
-  std::chrono::steady_clock::time_point told_;
+  std::chrono::steady_clock::time_point published_;
 };
 
 }  // namespace rosplat

@@ -32,7 +32,7 @@ OrderedView& DrawnViews::draw(const Ogre::Viewport* viewport, const SplatCamera&
   drawn.view.setPosePublished(main && publish_pose);
   // A sidecar's order covers one map only, so none is wanted for a picture of several maps.
   drawn.view.setOrdersWanted(orders_wanted && scene_.report(drawn.view.id()).maps == 1);
-  drawn.view.look(camera);
+  drawn.view.askIfChanged(camera);
   return drawn.view;
 }
 

@@ -163,7 +163,7 @@ void GaussianClient::watch() {
   if (!node_->get_node_base_interface()->get_context()->is_valid()) return;  // ROS has ended
   watched_ = now();
   try {
-    sidecar_->tell();
+    sidecar_->askSorters();
     watchPublishers();
   } catch (const std::exception& error) {
     if (!node_->get_node_base_interface()->get_context()->is_valid()) return;  // ROS has ended

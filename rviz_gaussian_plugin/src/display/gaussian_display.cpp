@@ -103,7 +103,7 @@ void GaussianDisplay::onInitialize() {
   if (context_->getWindowManager()) {
     drop_ = std::make_unique<SceneDrop>(context_->getWindowManager()->getParentWindow(),
                                         context_->getViewManager()->getRenderPanel(),
-                                        [this](const QString& path) { return takeDrop(path); });
+                                        [this](const QString& path) { return openDropped(path); });
   }
   qos_property_->initialize([this](const rclcpp::QoS& qos) {
     qos_ = qos;
@@ -224,7 +224,7 @@ void GaussianDisplay::openScene() {
   fit_view_->setBool(true);
 }
 
-bool GaussianDisplay::takeDrop(const QString& path) {
+bool GaussianDisplay::openDropped(const QString& path) {
   if (!isEnabled()) return false;
   if (scene_file_->getString() == path) {
     openScene();  // loads the file once more
@@ -271,7 +271,7 @@ void GaussianDisplay::update(UpdateDuration, UpdateDuration) {
     status_time_ = now;
     settings_->offerChannels(cloud_->scene().state().channels);
     std::vector<StatusLine> lines = statusLines();
-    diagnostics_->tell(lines, cloud_->scene(), views_->reports().size());
+    diagnostics_->publish(lines, cloud_->scene(), views_->reports().size());
     showStatus(std::move(lines));
   }
 }

@@ -58,7 +58,7 @@ class GaussianDisplay : public rviz_common::Display {
  private:
   void unsubscribe();
   void endService();
-  bool takeDrop(const QString& path);
+  bool openDropped(const QString& path);
   void applySettings();
   void refuseEmulation();
   std::string onView(const Ogre::Viewport* viewport, const SplatCamera& camera);

@@ -20,7 +20,7 @@ void OrderedView::ask(const SplatCamera& camera) {
   publish();
 }
 
-void OrderedView::look(const SplatCamera& camera) {
+void OrderedView::askIfChanged(const SplatCamera& camera) {
   if (sequence_ == 0 || !(camera_ == camera)) ask(camera);
 }
 

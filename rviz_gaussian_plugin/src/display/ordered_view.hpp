@@ -24,7 +24,7 @@ class OrderedView {
   // Asks for an order of this camera.
   void ask(const SplatCamera& camera);
   // The same, unless this camera was asked for last.
-  void look(const SplatCamera& camera);
+  void askIfChanged(const SplatCamera& camera);
   // Ends the view: scene and client forget it.
   void forget();
   // Publishes the camera again, for sidecars that start late.

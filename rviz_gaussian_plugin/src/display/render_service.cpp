@@ -47,7 +47,7 @@ RenderService::RenderService(const std::string& view_id, SplatCloud& cloud, Gaus
 void RenderService::serve() {
   served_ = true;
   try {
-    if (!request_ && !take()) {
+    if (!request_ && !beginRequest()) {
       if (kept_ && Clock::now() - answered_ > kKept) forget();
       return;
     }
@@ -77,7 +77,7 @@ void RenderService::forget() {
   kept_ = false;
 }
 
-bool RenderService::take() {
+bool RenderService::beginRequest() {
   request_ = client_.takeRenderRequest();
   if (!request_) return false;
   const std::string& detail = request_->request->detail;

@@ -36,7 +36,7 @@ class RenderService {
  private:
   using Clock = std::chrono::steady_clock;
 
-  bool take();
+  bool beginRequest();
   // Lets go of the view: of its picture, and of levels that nobody else draws.
   void forget();
   Clock::time_point deadline() const;

@@ -29,15 +29,16 @@ SidecarSwitch::Report SidecarSwitch::report() const {
   return report_;
 }
 
-void SidecarSwitch::tell() {
+void SidecarSwitch::askSorters() {
   const std::lock_guard lock(mutex_);
   if (backend_.empty()) return;
   const auto sorters = node_->get_publishers_info_by_topic(order_topic_);
   // The thread that hears answers may be the last to hold a client, and destroy it. Nothing may be
   // created meanwhile, so a new sorter is asked the next time.
   const bool gone = forgetGone(sorters);
-  for (auto sorter = sorters.begin(); !gone && sorter != sorters.end(); ++sorter) tell(*sorter);
-  note();
+  for (auto sorter = sorters.begin(); !gone && sorter != sorters.end(); ++sorter)
+    askSorter(*sorter);
+  updateReport();
 }
 
 // Forgets sorters that are gone. Returns whether there were any.
@@ -54,7 +55,7 @@ bool SidecarSwitch::forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sor
   return true;
 }
 
-void SidecarSwitch::tell(const rclcpp::TopicEndpointInfo& sorter) {
+void SidecarSwitch::askSorter(const rclcpp::TopicEndpointInfo& sorter) {
   const Gid gid = sorter.endpoint_gid();
   Sidecar& sidecar = sidecars_[gid];
   const std::string name = nodeOf(sorter);
@@ -67,16 +68,16 @@ void SidecarSwitch::tell(const rclcpp::TopicEndpointInfo& sorter) {
   if (!sidecar.parameters->service_is_ready()) return;
   // During discovery a request or its answer may be lost, so it is repeated.
   const auto now = std::chrono::steady_clock::now();
-  if (sidecar.told == backend_ && (sidecar.answer || now - sidecar.told_at < 3s)) return;
-  sidecar.told = backend_;
-  sidecar.told_at = now;
+  if (sidecar.asked_for == backend_ && (sidecar.answer || now - sidecar.asked_at < 3s)) return;
+  sidecar.asked_for = backend_;
+  sidecar.asked_at = now;
   sidecar.answer.reset();
   sidecar.parameters->set_parameters(
       {rclcpp::Parameter("backend", backend_)},
       [this, gid, name, backend = backend_](std::shared_future<Results> future) {
         const std::lock_guard lock(mutex_);
         const auto asked = sidecars_.find(gid);
-        if (asked == sidecars_.end() || asked->second.told != backend) return;  // too late
+        if (asked == sidecars_.end() || asked->second.asked_for != backend) return;  // too late
         Report& answer = asked->second.answer.emplace();
         const auto results = future.get();
         answer.failed = results.empty() || !results.front().successful;
@@ -87,18 +88,18 @@ void SidecarSwitch::tell(const rclcpp::TopicEndpointInfo& sorter) {
         } else {
           answer.text = name + " asked for backend " + backend;
         }
-        note();
+        updateReport();
       });
 }
 
-void SidecarSwitch::note() {
+void SidecarSwitch::updateReport() {
   report_ = {};
   if (backend_.empty()) return;
   if (sidecars_.empty()) {
     report_ = {"no sidecar publishes " + order_topic_ + " that could switch to " + backend_, true};
   }
   for (const auto& [gid, sidecar] : sidecars_) {
-    if (!sidecar.answer || sidecar.told != backend_) continue;
+    if (!sidecar.answer || sidecar.asked_for != backend_) continue;
     report_.text += (report_.text.empty() ? "" : "; ") + sidecar.answer->text;
     report_.failed |= sidecar.answer->failed;
   }

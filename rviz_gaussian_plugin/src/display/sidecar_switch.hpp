@@ -31,7 +31,7 @@ class SidecarSwitch {
   Report report() const;
   // Asks sorters that weren't asked yet or didn't answer within 3 s. Call it now and then, from the
   // thread that makes the node's clients.
-  void tell();
+  void askSorters();
 
  private:
   using Gid = std::array<std::uint8_t, RMW_GID_STORAGE_SIZE>;  // of a publisher
@@ -39,15 +39,15 @@ class SidecarSwitch {
   struct Sidecar {
     std::string name;
     std::shared_ptr<rclcpp::AsyncParametersClient> parameters;
-    std::string told;  // backend
-    std::chrono::steady_clock::time_point told_at;
+    std::string asked_for;  // backend
+    std::chrono::steady_clock::time_point asked_at;
     std::optional<Report> answer;
   };
 
   // To be called with mutex_ locked.
   bool forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sorters);
-  void tell(const rclcpp::TopicEndpointInfo& sorter);
-  void note();
+  void askSorter(const rclcpp::TopicEndpointInfo& sorter);
+  void updateReport();
 
   rclcpp::Node::SharedPtr node_;
   std::string order_topic_;

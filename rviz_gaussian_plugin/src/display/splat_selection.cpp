@@ -25,7 +25,7 @@ std::shared_ptr<MapSelection> SplatSelection::of(SplatCloud* cloud, Ogre::SceneN
   const auto self = std::static_pointer_cast<SplatSelection>(shared_from_this());
   const std::shared_ptr<MapSelection> map(new MapSelection(cloud, node, std::move(on_select)),
                                           [self](MapSelection* gone) {
-                                            self->leave(gone);
+                                            self->removeMap(gone);
                                             delete gone;
                                           });
   maps_.push_back(map.get());
@@ -33,7 +33,7 @@ std::shared_ptr<MapSelection> SplatSelection::of(SplatCloud* cloud, Ogre::SceneN
   return map;
 }
 
-void SplatSelection::leave(MapSelection* map) {
+void SplatSelection::removeMap(MapSelection* map) {
   SplatCloud* const cloud = &map->cloud();
   removeTrackedObject(cloud);
   maps_.erase(std::remove(maps_.begin(), maps_.end(), map), maps_.end());
@@ -84,17 +84,17 @@ void SplatSelection::begin(bool adds) {
   for (MapSelection* map : maps_) {
     for (auto& pick : map->cloud().pick()) waiting.picks.push_back(std::move(pick));
   }
-  if (take()) drawOutlines();
+  if (applyFound()) drawOutlines();
 }
 
-// Takes picks that are found, in the order in which they began. Returns whether there were any.
-bool SplatSelection::take() {
+// Applies picks that are found, in the order in which they began. Returns whether there were any.
+bool SplatSelection::applyFound() {
   bool any = false;
   for (; !waiting_.empty() && waiting_.front().found(); waiting_.pop_front()) {
     any = true;
     error_.clear();
     try {
-      take(waiting_.front());
+      apply(waiting_.front());
     } catch (const std::exception& error) {
       error_ = error.what();
     }
@@ -102,7 +102,7 @@ bool SplatSelection::take() {
   return any;
 }
 
-void SplatSelection::take(Waiting& found) {
+void SplatSelection::apply(Waiting& found) {
   for (auto& [cloud, pick] : found.picks) {
     const auto map = std::find_if(maps_.begin(), maps_.end(), [of = cloud](MapSelection* other) {
       return &other->cloud() == of;
@@ -112,7 +112,7 @@ void SplatSelection::take(Waiting& found) {
 }
 
 void SplatSelection::refresh() {
-  bool fresh = take();
+  bool fresh = applyFound();
   for (MapSelection* map : maps_) fresh = map->refresh() || fresh;
   if (fresh) shown_ = false;  // drawn by updateProperties(): Ogre is using the outlines now
 }

@@ -52,10 +52,10 @@ class SplatSelection : public rviz_common::interaction::SelectionHandler {
     bool found() const;
   };
 
-  void leave(MapSelection* map);
+  void removeMap(MapSelection* map);
   void begin(bool adds);
-  bool take();
-  void take(Waiting& found);
+  bool applyFound();
+  void apply(Waiting& found);
   void drawOutlines();
   void list(rviz_common::properties::Property* parent);
 

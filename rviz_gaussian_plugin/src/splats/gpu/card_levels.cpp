@@ -28,10 +28,10 @@ void CardLevels::apply(const SlotStore& store, const std::shared_ptr<const Gauss
     samples_.clear();
   }
   nodes_.addBands(store.shDegree());
-  note(*edit, number);
+  markWritten(*edit, number);
 }
 
-void CardLevels::note(const GaussianEdit& edit, std::uint64_t number) {
+void CardLevels::markWritten(const GaussianEdit& edit, std::uint64_t number) {
   if (edit.sh_degree < 0) return;
   std::size_t source = 0;
   std::uint32_t first_slot = kNoSlot;

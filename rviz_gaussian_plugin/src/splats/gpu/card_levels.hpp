@@ -46,7 +46,7 @@ class CardLevels {
     EntryLevels levels;
   };
 
-  void note(const GaussianEdit& edit, std::uint64_t number);
+  void markWritten(const GaussianEdit& edit, std::uint64_t number);
   void copy(const SlotStore& store, double now, std::size_t most_pages);
   void finish(SlotStore& store);
 
