@@ -31,6 +31,7 @@ OrderSource = _core.OrderSource
 Rasterizer = _core.Rasterizer
 RenderSettings = _core.RenderSettings
 SplatCamera = _core.SplatCamera
+over_opaque = _core.over_opaque
 
 MOST_PSNR = 150.0  # of equal pictures, as JSON has no infinity [dB]
 

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <cstring>
 #include <memory>
 #include <numeric>
 #include <optional>
@@ -288,9 +290,57 @@ py::dict nodesOf(const CpuRenderer& renderer, int level, std::uint32_t group) {
   return nodes_of;
 }
 
+// A picture of splats, premultiplied RGBA, and their depths, over bytes and depths of what is
+// opaque, or nothing; splats are a surface where they hide half of what is behind.
+py::tuple overOpaque(const Array<float>& colour, const Array<float>& depth,
+                     const std::optional<Array<std::uint8_t>>& below,
+                     const std::optional<Array<float>>& below_depth) {
+  const py::ssize_t height = colour.shape(0), width = colour.shape(1), n = height * width;
+  const auto fits = [&](const py::array& of, py::ssize_t channels) {
+    return of.size() == n * channels && of.shape(0) == height && of.shape(1) == width;
+  };
+  if (colour.ndim() != 3 || !fits(colour, 4) || depth.ndim() != 2 || !fits(depth, 1) ||
+      (below && (below->ndim() != 3 || !fits(*below, 3))) ||
+      (below_depth && (below_depth->ndim() != 2 || !fits(*below_depth, 1)))) {
+    throw std::invalid_argument("expected pictures of one size");
+  }
+  Array<std::uint8_t> bytes({height, width, py::ssize_t{3}});
+  Array<float> depths({height, width});
+  const float* const rgba = colour.data();
+  const float* const z = depth.data();
+  const std::uint8_t* const behind = below ? below->data() : nullptr;
+  const float* const farther = below_depth ? below_depth->data() : nullptr;
+  std::uint8_t* const out = bytes.mutable_data();
+  float* const out_z = depths.mutable_data();
+  using Pixel = float __attribute__((vector_size(4 * sizeof(float))));
+  using Integers = int __attribute__((vector_size(4 * sizeof(int))));
+  const Pixel none{}, most = none + 255.0f;
+  for (py::ssize_t i = 0; i < n; ++i) {
+    Pixel pixel, under{};
+    std::memcpy(&pixel, rgba + 4 * i, sizeof(pixel));
+    const float alpha = pixel[3];
+    if (behind) {
+      const std::uint8_t* const of = behind + 3 * i;
+      under = Pixel{float(of[0]), float(of[1]), float(of[2])};
+    }
+    pixel = 255.0f * pixel + (1.0f - alpha) * under + 0.5f;
+    pixel = pixel > none ? pixel : none;
+    pixel = pixel < most ? pixel : most;
+    const auto whole = __builtin_convertvector(pixel, Integers);
+    for (int c = 0; c < 3; ++c) out[3 * i + c] = std::uint8_t(whole[c]);
+    const float beyond = farther ? farther[i] : std::numeric_limits<float>::infinity();
+    out_z[i] = alpha >= 0.5f ? z[i] : beyond;
+  }
+  return py::make_tuple(std::move(bytes), std::move(depths));
+}
+
 }  // namespace
 
 void defineRendering(py::module_& module) {
+  module.def("over_opaque", &overOpaque, "colour"_a, "depth"_a, "below"_a = py::none(),
+             "below_depth"_a = py::none(),
+             "A picture of splats (height, width, 4), premultiplied, over RGB in bytes of what is\n"
+             "opaque: RGB in bytes, and depths, of splats where they hide half of what is behind.");
   py::enum_<DrawMode>(module, "DrawMode")
       .value("COLOR", DrawMode::kColor)
       .value("DEPTH", DrawMode::kDepth)

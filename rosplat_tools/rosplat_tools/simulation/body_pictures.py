@@ -163,13 +163,15 @@ def _fixed(camera: int) -> Any:
 
 def _depth(window: NDArray[np.float32], lens: Camera) -> NDArray[np.float32]:
     near, far = lens.near, lens.far
-    reach = far - near
-    with np.errstate(divide="ignore"):
-        if lens.orthographic:
-            depth = far - window.astype(np.float64) * reach
-        else:
-            depth = near * far / (window.astype(np.float64) * reach + near)
-    return np.where(window > 0, depth, np.inf).astype(np.float32)
+    if lens.orthographic:
+        depth = (far - window.astype(np.float64) * (far - near)).astype(np.float32)
+        depth[window <= 0] = np.inf
+        return depth
+    depth = window * np.float32((far - near) / (near * far))
+    depth += np.float32(1 / far)
+    np.divide(1, depth, out=depth, where=window > 0)
+    depth[window <= 0] = np.inf
+    return depth
 
 
 @contextmanager

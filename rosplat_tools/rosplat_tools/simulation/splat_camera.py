@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.cameras import Camera
 from rosplat_core.quaternions import from_matrices
-from rosplat_core.rendering import CpuRenderer, Renderer, insert_groups, move
+from rosplat_core.rendering import CpuRenderer, Renderer, insert_groups, move, over_opaque
 from rosplat_core.rigid import placed, rigid
 from rosplat_core.splats import Splats
 from rosplat_tools.simulation.body_pictures import BodyPicture, BodyPictures, NoGL, camera_of
@@ -26,7 +26,7 @@ from rosplat_tools.simulation.physics import load_mujoco
 
 Array = NDArray[np.float64]
 
-SURFACE = 0.5  # least share of the light that a surface of splats takes away
+SURFACE = 0.5  # least share of the light that a surface of splats takes away, as for over_opaque
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,18 +189,11 @@ def _together(
     bodies: bool,
 ) -> SplatPicture:
     """The picture of splats, premultiplied (height, width, 4), over that of bodies."""
-    rgb, alpha = colour[..., :3], colour[..., 3:]
-    surface = alpha[..., 0] >= SURFACE
-    if solid:
-        rgb = rgb + (1 - alpha) * (solid.colour * np.float32(1 / 255))
-    depth = np.where(surface, depth_of_splats, solid.depth if solid else np.float32(np.inf))
+    below = (solid.colour, solid.depth) if solid else ()
+    rgb, depth = over_opaque(colour, depth_of_splats, *below)
     numbers = None
     if bodies:
         numbers = np.zeros(depth.shape, np.uint16)
         if solid and solid.bodies is not None:
-            numbers = np.where(surface, np.uint16(0), solid.bodies)
-    return SplatPicture(_bytes(rgb), depth, numbers, camera)
-
-
-def _bytes(colours: NDArray[np.float32]) -> NDArray[np.uint8]:
-    return (255 * np.clip(colours, 0, 1) + 0.5).astype(np.uint8)
+            numbers = np.where(colour[..., 3] >= SURFACE, numbers, solid.bodies)
+    return SplatPicture(rgb, depth, numbers, camera)

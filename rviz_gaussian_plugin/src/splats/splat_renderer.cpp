@@ -403,13 +403,15 @@ std::vector<float> SplatRenderer::readDepth() {
   const std::size_t columns = static_cast<std::size_t>(width),
                     rows = static_cast<std::size_t>(height);
   glBindFramebuffer(GL_READ_FRAMEBUFFER, scope.framebuffer());
-  const std::vector<float> blended = gl::readPixels(width, height);
+  const std::vector<float> sums = gl::readPixels(width, height, GL_RED);
+  const std::vector<float> weights = gl::readPixels(width, height, GL_ALPHA);
   std::vector<float> depths(columns * rows);
   for (std::size_t row = 0; row < rows; ++row) {
-    const float* source = &blended[4 * columns * (view.topFirst() ? row : rows - 1 - row)];
-    for (std::size_t column = 0; column < columns; ++column, source += 4) {
+    const std::size_t from = columns * (view.topFirst() ? row : rows - 1 - row);
+    for (std::size_t column = 0; column < columns; ++column) {
+      const float weight = weights[from + column];
       depths[columns * row + column] =
-          source[3] > 0.0f ? source[0] / source[3] : std::numeric_limits<float>::quiet_NaN();
+          weight > 0.0f ? sums[from + column] / weight : std::numeric_limits<float>::quiet_NaN();
     }
   }
   return depths;

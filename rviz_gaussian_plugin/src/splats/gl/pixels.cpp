@@ -37,10 +37,12 @@ std::vector<float> readDepths(int x, int y, int width, int height, bool top_firs
   return depths;
 }
 
-std::vector<float> readPixels(int width, int height) {
-  std::vector<float> pixels(4 * static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
+std::vector<float> readPixels(int width, int height, GLenum channels) {
+  const std::size_t of_pixel = channels == GL_RGBA ? 4 : 1;
+  std::vector<float> pixels(of_pixel * static_cast<std::size_t>(width) *
+                            static_cast<std::size_t>(height));
   const PixelScope scope;
-  glReadPixels(0, 0, width, height, GL_RGBA, GL_FLOAT, pixels.data());
+  glReadPixels(0, 0, width, height, channels, GL_FLOAT, pixels.data());
   return pixels;
 }
 

@@ -22,7 +22,8 @@ class PixelScope {
 // top_first: the framebuffer's first row is the picture's top.
 std::vector<float> readDepths(int x, int y, int width, int height, bool top_first);
 
-// Returns the RGBA colour of the framebuffer that is bound for reading, in its order of rows.
-std::vector<float> readPixels(int width, int height);
+// Returns colours of the framebuffer that is bound for reading, in its order of rows: GL_RGBA, or
+// one of its channels.
+std::vector<float> readPixels(int width, int height, GLenum channels = GL_RGBA);
 
 }  // namespace rosplat::gl
