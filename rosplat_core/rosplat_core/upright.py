@@ -8,11 +8,12 @@ vertical the splats gather in a few thin layers, and reach less far than along t
 2. Directions to try are those that flat splats face, normals of planes through three splats
    (RANSAC, Fischler and Bolles 1981), and the axes.
 3. The best of them are turned until the layers across them are thinnest.
-4. A direction counts as up by how thin its layers are for its extent, how much lies above the
-   lowest large layer, and how near it is to where trainers have up: -y (COLMAP, first cameras), z
-   (REP-103, nerfstudio), or, where cameras are known, to the top of their pictures.
-5. The best is turned over if the scene stands on its lowest points that way, and falls over as it
-   is: an animal has no ground, but legs.
+4. A direction counts as up by how thin its layers are for its extent, how flat the scene lies that
+   way, how much is above the lowest large layer, and how near it is to where trainers have up: -y
+   (COLMAP, first cameras, which may look down), z (REP-103, nerfstudio), or, where cameras are
+   known, to the top of their pictures.
+5. What isn't flat has to stand on its lowest points: an animal has no ground, but legs, and a
+   statue is thinnest across, but would fall over.
 """
 
 from __future__ import annotations
@@ -38,10 +39,11 @@ APART = 0.9  # cosine of two directions that count as one
 OPAQUE = 0.2  # least opacity of a splat that votes
 FINEST = 0.004  # of turning [rad]
 
-# Directions that trainers have up, and how much each is expected.
-CUSTOMS = ((0, -1, 0, 1.0), (0, 0, 1, 1.0), (0, 1, 0, 0.6), (0, 0, -1, 0.3))
-UNCUSTOMARY = 0.15  # what a direction counts that is across all of them
-NEARLY = 0.94  # cosine of 20 degrees, within which a custom is preferred to
+# Directions that trainers have up, and how much each is expected. The second: of a first camera
+# that looked down.
+CUSTOMS = ((0, -1, 0, 1.0), (0, -0.8, -0.6, 0.8), (0, 0, 1, 0.55), (0, 1, 0, 0.4), (0, 0, -1, 0.3))
+UNCUSTOMARY = 0.1  # what a direction counts that is across all of them
+NEARLY = 0.94  # cosine of 20 degrees, within which an axis is preferred to
 HARDLY_LESS = 0.75  # what is at most so many times as likely
 LEVEL = 1 - 1e-9  # cosine from which a vertical is z
 STEADY = 0.5  # least length of the mean of the cameras' verticals, for it to be believed
@@ -70,26 +72,22 @@ def find_up(splats: Splats, cameras: Sequence[Camera] = ()) -> NDArray[np.float6
             customs[:, :3],
         ]
     )
-    candidates = [*np.eye(3), *customs[:, :3]]
+    axes = np.array([*np.eye(3), customs[0, :3]])
+    axes = np.concatenate([axes, 0.0 - axes])
+    candidates = [*axes]
     thinness = np.array([_thinness(points @ normal) for normal in tried])
     for _ in range(REFINED):
         if not (first := thinness.argmax()) and not thinness[0] > 0:
             break
-        candidates.append(_thinnest(points, tried[first]))
+        thinnest = _thinnest(points, tried[first])
+        candidates += [thinnest, -thinnest]
         thinness[np.abs(tried @ tried[first]) > APART] = 0
-    signed = [sign * candidate for candidate in candidates for sign in (1.0, -1.0)]
-    found = max(signed, key=lambda up: _likelihood(points @ up, up, customs))
-    found = max(
-        (found, -found),
-        key=lambda up: _likelihood(points @ up, up, customs) * _stands(points, up),
-    )
-    custom = customs[(customs[:, :3] @ found).argmax(), :3]
+    likelihood = np.array([_likelihood(points, up, customs) for up in candidates])
+    up: NDArray[np.float64] = candidates[likelihood.argmax()]
+    near = int(np.argmax(axes @ up))
     # Few or noisy splats have layers in many directions.
-    if custom @ found > NEARLY and HARDLY_LESS * _likelihood(
-        points @ found, found, customs
-    ) < _likelihood(points @ custom, custom, customs):
-        found = custom
-    up: NDArray[np.float64] = found
+    if axes[near] @ up > NEARLY and likelihood[near] > HARDLY_LESS * likelihood.max():
+        return np.asarray(axes[near])
     return up
 
 
@@ -162,10 +160,8 @@ def _thinnest(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArr
     """The direction near a normal across which layers are thinnest."""
     best, step = _thinness(points @ normal), 0.06
     while step > FINEST:
-        aside = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-        aside /= np.linalg.norm(aside)
         angles = np.arange(6)[:, None] * np.pi / 3
-        turned = normal + step * (np.cos(angles) * aside + np.sin(angles) * np.cross(normal, aside))
+        turned = normal + step * np.hstack([np.cos(angles), np.sin(angles)]) @ _level(normal)
         turned /= np.linalg.norm(turned, axis=1, keepdims=True)
         found = [_thinness(points @ direction) for direction in turned]
         if max(found) > best:
@@ -175,33 +171,45 @@ def _thinnest(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArr
     return normal
 
 
+def _level(up: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Two level directions (2, 3), at right angles."""
+    aside = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    aside /= np.linalg.norm(aside)
+    return np.array([aside, np.cross(up, aside)])
+
+
 def _stands(points: NDArray[np.float64], up: NDArray[np.float64]) -> float:
-    """FALLING to 1: how far the points' middle is within the outline of the lowest ones."""
+    """0 to 1: how far the points' middle is within the outline of the lowest ones."""
     from scipy.spatial import ConvexHull, QhullError  # takes its time
 
     heights = points @ up
     low, high = np.quantile(heights, [0.005, 0.98])
-    aside = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-    aside /= np.linalg.norm(aside)
-    flat = points @ np.array([aside, np.cross(up, aside)]).T
+    flat = points @ _level(up).T
     flat -= flat.mean(axis=0)
     foot = flat[heights < low + FOOT * (high - low)]
     try:
         within = -float(ConvexHull(foot).equations[:, 2].max())
     except (QhullError, ValueError):  # a line, or a point
         within = 0.0
-    return float(np.clip(within / STEADY_FOOT, FALLING, 1))
+    return float(np.clip(within / STEADY_FOOT, 0, 1))
 
 
 def _likelihood(
-    heights: NDArray[np.float64], up: NDArray[np.float64], customs: NDArray[np.float64]
+    points: NDArray[np.float64], up: NDArray[np.float64], customs: NDArray[np.float64]
 ) -> float:
-    """How likely a direction is up; heights (n,): of points along it, in radii."""
+    """How likely a direction is up."""
+    heights = points @ up
     low, high = np.quantile(heights, [0.02, 0.98])
+    height = max(float(high - low), LAYER)
     layers = _layers(heights)
     ground = np.argmax(layers > 0.5 * layers.max()) * LAYER - 2.6 + LAYER / 2
     above = float(np.mean(heights > ground + 1.5 * LAYER))
     below = float(np.mean(heights < ground - 1.5 * LAYER))
-    one_sided = 0.3 + (above + 0.01) / (above + below + 0.02)
+    one_sided = 0.1 + (above + 0.01) / (above + below + 0.02)
     custom = UNCUSTOMARY + max(0.0, *(customs[:, 3] * (customs[:, :3] @ up).clip(0, 1) ** 4))
-    return float(np.sum(layers**2) / max(high - low, LAYER) * one_sided * custom)
+    spread = np.cov(points.T)
+    level = _level(up)
+    narrow = float(np.linalg.eigvalsh(level @ spread @ level.T)[0])
+    flat = max(1.0, narrow / max(float(up @ spread @ up), LAYER**2 / 12))
+    stands = max(min(1.0, FALLING * flat), _stands(points, up))  # what is flat doesn't fall over
+    return float(np.sum(layers**2) * height * math.sqrt(flat) * one_sided * custom * stands)

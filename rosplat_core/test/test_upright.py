@@ -52,6 +52,21 @@ def test_what_lies_on_its_ground_tells_it_in_rare_axes(euler: tuple[float, float
     assert degrees_between(find_up(splats), rotation.as_matrix()[:, 2]) < 1.5
 
 
+@pytest.mark.parametrize("up", [(0, -1, 0), (0, 0, 1)])
+def test_a_statue_stands_on_its_plinth(up: tuple[float, float, float]) -> None:
+    random = np.random.default_rng(0)
+    heights = np.concatenate([random.uniform(0, 2, 15_000), random.uniform(0, 0.1, 5000)])
+    radii = np.repeat([0.2, 0.5], [15_000, 5000]) * np.sqrt(random.uniform(size=20_000))
+    angles = random.uniform(0, 2 * np.pi, 20_000)
+    statue = Splats(
+        positions=np.column_stack([radii * np.cos(angles), radii * np.sin(angles), heights]),
+        orientations=np.tile([0, 0, 0, 1], (20_000, 1)), scales=np.full((20_000, 3), 0.02),
+        opacities=np.full(20_000, 0.9), sh=np.zeros((20_000, 1, 3)),
+    )  # fmt: skip
+    rotation = Rotation.align_vectors([up], [[0, 0, 1]])[0]
+    assert degrees_between(find_up(turned(statue, rotation)), np.array(up)) < 1
+
+
 def test_an_animal_stands_on_its_legs() -> None:
     parts = [  # low and high corners: z [m], y up, x
         ((-0.5, 0.5, -0.4), (0.5, 0.85, 0.4)),
