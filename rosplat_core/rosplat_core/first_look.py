@@ -2,16 +2,17 @@
 
 1. The scene is turned upright, its middle is moved to 0 and its radius made 1. Few splats stand for
    all: each is kept with a probability in proportion to its area, and grows to make up for those
-   that are not, so pictures of them have the scene's coverage.
+   that are not, so pictures of them have about the scene's coverage.
 2. Cameras to try stand around the scene, where it just fits the picture, amid it around its middle,
    and within, at free places, facing all around, each as far back as there is room. Where the
    cameras are known that took the scene, they alone are tried.
 3. Those that have many resolved splats before them are drawn: lightness and warmth of the colours,
    the size of the splats, and depth. Blur, and what is close to the camera, make a picture worth
    less.
-4. A scene that surrounds its free places, such as a room, is shown from within. There, a picture is
-   worth its contrast, in all of it and from each part to the next, and its depth: a wall has
-   neither. An empty part makes it worth little.
+4. A scene that surrounds its free places, such as a room, is shown from within, and so is one of
+   which no camera around it shows much. There, a picture is worth its contrast, in all of it and
+   from each part to the next, and its depth: a wall has neither. An empty part makes it worth
+   little.
 5. Another scene is shown whole, above all its top. A picture is worth the share of the scene's
    splats that it shows: not hidden by others, and no smaller than a pixel. Trainers put splats
    where photographs have detail, so the share is that of the detail that is seen.
@@ -63,6 +64,7 @@ BLURRED = 40  # that from which a near splat is blurred
 CLOSE = 0.15  # distance within which things are too close, in the scene's radii
 TILE = 4  # edge of parts of a picture that are compared [px]
 SURROUNDED = 0.9  # least part of pictures from within that is covered, for the scene to surround it
+HIDDEN = 0.2  # share of a scene that is shown from within if no camera around it shows more
 NEARBY = 3  # distance within which a scene's extent is measured, in median ones
 MARGIN = 0.9  # part of a picture that a whole object may fill
 NARROWER = (0.5, 1.0, 1.5)  # widths of pictures, in their heights, that it is fitted to as well
@@ -132,7 +134,7 @@ def cameras_beside(scene: str) -> list[Camera]:
 
 
 def first_view(
-    splats: Splats, up: ArrayLike | None = None, cameras: Sequence[Camera] = ()
+    splats: Splats | PackedSplats, up: ArrayLike | None = None, cameras: Sequence[Camera] = ()
 ) -> FirstView:
     """The view of a scene to begin with.
 
@@ -143,7 +145,7 @@ def first_view(
         up = splats.up or find_up(sample(splats), cameras)
     if not len(splats):
         return FirstView(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]))
-    stage, began = _Stage(sample(splats), np.asarray(up, np.float64)), time.monotonic()
+    stage, began = _Stage(splats, np.asarray(up, np.float64)), time.monotonic()
     tried = _taken(stage, cameras) if cameras else _around(stage) + _amid(stage) + _within(stage)
     seen = []
     for look in _chosen(stage, tried):
@@ -151,9 +153,12 @@ def first_view(
         if time.monotonic() > began + PATIENCE and len(seen) >= LEAST:
             break
     within = [found for look, found in seen if look.kind == "within"]
-    surrounding = sum(found.surrounds for found in within) > len(within) / 2 > 0
+    surrounded = sum(found.surrounds for found in within) > len(within) / 2
+    shown = max((found.shown for look, found in seen if look.kind == "around"), default=0.0)
+    surrounding = bool(within) and (surrounded or shown < HIDDEN)
     if surrounding:
-        seen = [(look, found) for look, found in seen if look.kind != "around"]
+        left_out = "amid", "around" if surrounded else ""
+        seen = [(look, found) for look, found in seen if look.kind not in left_out]
     best, found = max(seen, key=lambda pair: pair[1].worth(surrounding))
     step = 1.0
     for _ in range(0 if cameras else STEPS):
@@ -166,7 +171,8 @@ def first_view(
             best, found = look, better
         else:
             step /= 2
-    return replace(stage.placed(best), inside=found.surrounds)
+    inside = found.surrounds or (surrounding and best.kind == "within")
+    return replace(stage.placed(best), inside=inside)
 
 
 def views_within(splats: Splats, up: ArrayLike) -> list[FirstView]:
@@ -174,7 +180,7 @@ def views_within(splats: Splats, up: ArrayLike) -> list[FirstView]:
 
     up (3,): the scene's vertical.
     """
-    stage = _Stage(sample(splats), np.asarray(up, np.float64))
+    stage = _Stage(splats, np.asarray(up, np.float64))
     looks = _within(stage)
     promising = _chosen(stage, looks)
     if not sum(stage.seen(look).surrounds for look in promising) > len(promising) / 2:
@@ -274,9 +280,10 @@ class _Seen:
 class _Stage:
     """A scene upright, its middle at 0, its radius 1; and what stands for it in pictures."""
 
-    def __init__(self, splats: Splats, up: NDArray[np.float64]) -> None:
+    def __init__(self, scene: Splats | PackedSplats, up: NDArray[np.float64]) -> None:
         from scipy.spatial import cKDTree  # takes its time
 
+        splats = sample(scene)
         random = np.random.default_rng(0)
         self._origin = splats.origin
         self._up = up / np.linalg.norm(up)
@@ -294,7 +301,11 @@ class _Stage:
         )
         self._middle = np.median(positions[counted], axis=0)
         away = np.linalg.norm(positions[counted] - self._middle, axis=1)
+        sizes = np.sort(scales, axis=1)[:, 1:].prod(axis=1) ** 0.5
         near = counted[away <= NEARBY * np.median(away)]  # without a sky, for example
+        far = counted[away > NEARBY * np.median(away)]
+        if len(far) and np.median(sizes[far]) <= np.median(sizes[near]):  # such as a guitar's neck
+            near = counted
         lowest, low, high, highest = np.quantile(
             positions[near], [0.002, 0.05, 0.95, 0.998], axis=0
         )
@@ -305,8 +316,9 @@ class _Stage:
             (corner - self._middle) / self._radius for corner in (low, high, lowest, highest)
         )
         self.core = max(float(np.median(np.linalg.norm(self.positions[counted], axis=1))), 0.05)
-        grown = scales / self._radius / np.sqrt(chances)[:, None]
-        self._sizes = np.sort(scales, axis=1)[:, 1:].prod(axis=1) ** 0.5 / self._radius
+        unread = (len(scene) / len(splats)) ** 0.25  # less than for their area: many overlap
+        grown = unread * scales / self._radius / np.sqrt(chances)[:, None]
+        self._sizes = sizes / self._radius
         self._sampled = random.choice(len(rows), POINTS, p=self._weights)
         self._solid = cKDTree(self.positions[splats.opacities[rows] > 0.3])
         points = self.positions[self._sampled]

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from rosplat_core import first_look
 from rosplat_core.cameras import Camera, look_at
-from rosplat_core.first_look import FirstView, first_view, views_within
+from rosplat_core.first_look import FirstView, first_view, sample, views_within
 from rosplat_core.generated import generate
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.splats import Splats, concatenate
@@ -121,6 +121,41 @@ def test_rooms_are_shown_from_within(rooms: Splats) -> None:
     assert alpha(rooms, view).mean() > 0.95
     assert view.width == 0  # no narrow window moves the camera through a wall
     assert view.inside
+
+
+def test_of_many_splats_those_read_show_a_room_from_within(
+    dense_rooms: Splats, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(first_look, "sample", lambda splats: sample(splats, 30_000))
+    assert first_view(dense_rooms, Z).inside
+
+
+def test_what_is_hidden_from_outside_is_shown_from_within() -> None:
+    shell = walls((1.5, 1, 0.65), np.array([0.2, 0.5, 0.8]))
+    window = np.floor(shell.positions / 0.175 + 0.01) @ (3, 5, 7) % 4 == 0
+    hall = replace(shell, positions=4 * shell.positions, scales=4 * shell.scales)[~window]
+    box = walls((1, 1, 1), np.array([0.1, 0.9]))
+    boxes = [
+        replace(box, positions=0.4 * box.positions + (x, y, 0), scales=0.4 * box.scales)
+        for x in (0.6, 2, 3.4, 4.8)
+        for y in (0.5, 1.8, 3.1)
+    ]
+    view = first_view(concatenate([hall, *boxes]), Z)
+    assert ((view.eye > 0) & (view.eye < (6, 4, 2.6))).all()
+    assert view.inside
+
+
+def test_a_thin_part_of_an_object_is_shown_too() -> None:
+    random = np.random.default_rng(0)
+    body = random.normal(size=(20_000, 3))
+    body *= 0.3 / np.linalg.norm(body, axis=1, keepdims=True)
+    neck = np.column_stack([random.uniform(-0.05, 0.05, (2000, 2)), random.uniform(0.3, 2.5, 2000)])
+    n = 22_000
+    guitar = Splats(
+        positions=np.concatenate([body, neck]), orientations=np.tile([0, 0, 0, 1], (n, 1)),
+        scales=np.full((n, 3), 0.01), opacities=np.full(n, 0.9), sh=np.zeros((n, 1, 3)),
+    )  # fmt: skip
+    assert border(alpha(guitar, first_view(guitar, Z))) < 0.02
 
 
 def test_a_long_room_is_looked_at_along_its_length() -> None:

@@ -63,7 +63,7 @@ class FirstViews:
                 up = find_up(some, cameras)
                 told = " ".join(f"{part:.2f}" for part in up)
                 log.info(f"{shown(scene)}: up is {told} by its ground (parameter up changes that)")
-            view = first_view(some, up, cameras)
+            view = first_view(splats, up, cameras)
         except (ArithmeticError, MemoryError, ValueError) as error:  # the map is shown without
             log.warning(f"{shown(scene)}: no first view is found: {shown(error, 300)}")
             return None
