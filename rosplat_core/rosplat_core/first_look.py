@@ -12,7 +12,7 @@
 4. A scene that surrounds its free places, such as a room, is shown from within, and so is one of
    which no camera around it shows much. There, a picture is worth its contrast, in all of it and
    from each part to the next, and its depth: a wall has neither. An empty part makes it worth
-   little.
+   little. A hollow object isn't a room: from within, it is a blur.
 5. Another scene is shown whole, above all its top. A picture is worth the share of the scene's
    splats that it shows: not hidden by others, and no smaller than a pixel. Trainers put splats
    where photographs have detail, so the share is that of the detail that is seen.
@@ -60,6 +60,7 @@ BACK, STEPS_BACK = 0.06, 12  # length and number of steps that a camera goes bac
 PITCHES = (-6, -13)  # of cameras within [deg]
 DRAWN = {"around": 16, "amid": 12, "within": 48, "taken": 40}  # how many cameras are drawn of each
 RESOLVED = 10  # standard deviation of a splat at which it counts half [px of SHOWN_HEIGHT]
+BLUR = 0.12  # sharpness within a hollow object
 BLURRED = 40  # that from which a near splat is blurred
 CLOSE = 0.15  # distance within which things are too close, in the scene's radii
 TILE = 4  # edge of parts of a picture that are compared [px]
@@ -153,7 +154,8 @@ def first_view(
         if time.monotonic() > began + PATIENCE and len(seen) >= LEAST:
             break
     within = [found for look, found in seen if look.kind == "within"]
-    surrounded = sum(found.surrounds for found in within) > len(within) / 2
+    sharp = [found.sharp for found in within if found.surrounds]
+    surrounded = len(sharp) > len(within) / 2 and float(np.median(sharp)) > BLUR
     shown = max((found.shown for look, found in seen if look.kind == "around"), default=0.0)
     surrounding = bool(within) and (surrounded or shown < HIDDEN)
     if surrounding:

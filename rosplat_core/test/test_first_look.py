@@ -145,6 +145,19 @@ def test_what_is_hidden_from_outside_is_shown_from_within() -> None:
     assert view.inside
 
 
+def test_a_hollow_object_is_shown_from_outside() -> None:
+    away = np.random.default_rng(0).normal(size=(3000, 3))
+    away *= (1, 1, 1.3) / np.linalg.norm(away, axis=1, keepdims=True)
+    head = Splats(
+        positions=away, orientations=np.tile([0, 0, 0, 1], (3000, 1)),
+        scales=np.full((3000, 3), 0.12), opacities=np.full(3000, 0.9),
+        sh=np.random.default_rng(1).normal(size=(3000, 1, 3)),
+    )  # fmt: skip
+    view = first_view(head, Z)
+    assert np.linalg.norm(view.eye) > 2
+    assert not view.inside
+
+
 def test_a_thin_part_of_an_object_is_shown_too() -> None:
     random = np.random.default_rng(0)
     body = random.normal(size=(20_000, 3))
