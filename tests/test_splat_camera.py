@@ -18,7 +18,14 @@ from rosplat_core.first_look import sample
 from rosplat_core.formats import load
 from rosplat_core.generated import generate
 from rosplat_core.quaternions import from_matrices
-from rosplat_core.rendering import CpuRenderer, Rasterizer, insert_groups, move, posed
+from rosplat_core.rendering import (
+    CpuRenderer,
+    Rasterizer,
+    insert_groups,
+    move,
+    over_opaque,
+    posed,
+)
 from rosplat_core.rigid import placed
 from rosplat_core.splats import InputError, Splats
 from rosplat_core.upright import find_up, standing_pose
@@ -165,6 +172,25 @@ def test_matches_the_float64_twin(model: Any, data: Any, name: str, placed: bool
     assert (~surface & clear & np.isfinite(depths)).mean() > 0.02  # bodies are seen, too
     same = np.isclose(picture.depth, depth, rtol=1e-3)
     assert same[clear].mean() > 0.998
+
+
+def test_splats_over_what_is_opaque_are_numpy_s() -> None:
+    random, size = np.random.default_rng(2), (7, 9)
+    colour = random.uniform(-0.2, 1.3, (*size, 4)).astype(np.float32)
+    colour[..., 3] = random.uniform(0, 1, size)
+    depth, farther = random.uniform(1, 9, (2, *size)).astype(np.float32)
+    below = random.integers(0, 256, (*size, 3)).astype(np.uint8)
+    alpha = colour[..., 3:].astype(np.float64)
+    for behind in (below[::-1], None):
+        rgb, nearest = over_opaque(colour, depth, behind, None if behind is None else farther)
+        light = 0 if behind is None else (1 - alpha) * behind
+        expected = (255 * colour[..., :3].astype(np.float64) + light).clip(0, 255)
+        assert rgb.dtype == np.uint8 and np.abs(rgb - expected).max() <= 0.5 + 1e-3
+        beyond = np.inf if behind is None else farther
+        np.testing.assert_array_equal(nearest, np.where(alpha[..., 0] >= 0.5, depth, beyond))
+    for wrong in ((colour[:3], depth), (colour, depth.T), (colour, depth, below[:, :3])):
+        with pytest.raises(ValueError, match="expected pictures of one size"):
+            over_opaque(*wrong)
 
 
 def test_render_is_the_picture_without_the_bodies(model: Any, data: Any) -> None:
