@@ -14,12 +14,17 @@ from rosplat_lab.bench.records import Circumstances, Measurement, Record, save
 HERE = Circumstances("a box", "a card", "1.2", "abc", "bench sort", "2026-01-01T00:00:00Z", 0.5)
 
 
+def _program(name: str) -> tuple[str, str]:
+    """What Python is told to run a program of rosplat_tools."""
+    return "-c", f"import sys; from rosplat_tools.commands import {name}; sys.exit({name}())"
+
+
 @pytest.mark.parametrize(
     "command",
-    ["rosplat_tools.inspect_scene procedural:10", "rosplat_tools.generate made.ply --count 9",
-     "rosplat_lab.bench charts records.json"],
+    [(*_program("inspect"), "procedural:10"), (*_program("generate"), "made.ply", "--count", "9"),
+     ("-m", "rosplat_lab.bench", "charts", "records.json")],
 )  # fmt: skip
-def test_nothing_is_said_where_nobody_reads(command: str, tmp_path: Path) -> None:
+def test_nothing_is_said_where_nobody_reads(command: tuple[str, ...], tmp_path: Path) -> None:
     times = Measurement.of(
         "order in host memory", "ms", 3.0, "garden", 9, method="numpy", view="all"
     )
@@ -27,7 +32,7 @@ def test_nothing_is_said_where_nobody_reads(command: str, tmp_path: Path) -> Non
     reading, writing = os.pipe()
     os.close(reading)
     ended = subprocess.run(
-        [sys.executable, "-m", *command.split()],
+        [sys.executable, *command],
         stdout=writing, stderr=subprocess.PIPE, text=True, cwd=tmp_path, check=False,
     )  # fmt: skip
     os.close(writing)
@@ -37,10 +42,9 @@ def test_nothing_is_said_where_nobody_reads(command: str, tmp_path: Path) -> Non
 @pytest.mark.parametrize("command", ["inspect procedural:10", "inspect --help", "generate --help"])
 def test_a_full_disk_is_a_line_and_code_1(command: str) -> None:
     program, *arguments = command.split()
-    run = f"import sys; from rosplat_tools.commands import {program}; sys.exit({program}())"
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(
-            [sys.executable, "-c", run, *arguments],
+            [sys.executable, *_program(program), *arguments],
             stdout=full, stderr=subprocess.PIPE, text=True, check=False,
             env={name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"},
         )  # fmt: skip
