@@ -263,6 +263,46 @@ def test_frames_of_bodies_cameras_and_the_map(node: Node) -> None:
     assert fixed["lidar"].transform.translation.z == pytest.approx(0.265)
 
 
+FOREIGN = """
+<mujoco><option timestep="0.003"/><worldbody><geom type="plane" pos="0 0 -7" size="0 0 1"/>
+  <site name="scan" pos="0 1 0"/>
+  <body name="trunk" pos="0 0 1"><freejoint/><geom size="0.1"/>
+    <site name="trunk" pos="0 0 0.1" euler="0 0 90"/><site name="map"/>
+    <camera name="y-axis" pos="0 -2 0" xyaxes="1 0 0 0 0 1" mode="trackcom"/><camera/>
+    <body name="scan"><joint name="tilt"/><geom size="0.05"/></body>
+  </body></worldbody>
+  <actuator><motor joint="tilt"/><motor name="hip/tilt" joint="tilt"/></actuator>
+  <sensor><rangefinder site="trunk"/><gyro site="map"/><gyro site="trunk"/>
+    <accelerometer name="a" site="trunk"/></sensor></mujoco>"""
+
+
+def test_a_foreign_robot_has_all_that_its_file_has(node: Node, tmp_path: Path) -> None:
+    """Whatever its cameras, actuators, sites and sensors are called, if anything."""
+    (tmp_path / "foreign.xml").write_text(FOREIGN)
+    floor = Boxes(np.array([[-5.0, -5, -9]]), np.array([[5.0, 5, -8]]))
+    robot = RobotModel(tmp_path / "foreign.xml", floor, np.eye(4))
+    assert robot.cameras == {"y_axis": 0, "camera_1": 1}
+    assert robot.actuators == {"actuator_0": 0, "hip_tilt": 1}
+    assert robot.travels
+    down = robot.cast(np.array([3.0, 0, 0]), np.array([[0.0, 0, -1]]), 0)
+    assert np.isinf(down)  # its ground is run into, and not seen: that is the map's part
+    for _ in range(100):
+        robot.step(0.01)
+    assert robot.time == pytest.approx(1, abs=0.003)  # which 0.01 is no multiple of
+    site, rotation, turn, _ = robot.imu() or pytest.fail("no IMU")
+    assert (site, len(turn)) == ("trunk", 3)
+    np.testing.assert_allclose(rotation, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-6)
+
+    states = States(node, "odom")
+    states.stand(robot, "map", np.eye(4))
+    moving = {each.child_frame_id: each for each in states.transforms(Time(sec=1))}
+    fixed = {each.child_frame_id: each for each in states.fixed(robot)}
+    assert set(moving) == {"trunk", "scan", "y_axis_optical"}  # that one turns with no body
+    assert set(fixed) == {"camera_1_optical", "trunk_site", "map_site", "scan_site"}
+    assert fixed["trunk_site"].header.frame_id == "trunk"
+    assert fixed["scan_site"].header.frame_id == "odom"
+
+
 def test_markers_are_what_cameras_see_of_the_robot(tmp_path: Path) -> None:
     messages = pytest.importorskip("visualization_msgs.msg", reason="no visualization_msgs here")
     from rosplat_tools.simulation.markers import markers_of
@@ -270,7 +310,7 @@ def test_markers_are_what_cameras_see_of_the_robot(tmp_path: Path) -> None:
     floor = Boxes(np.array([[-5.0, -5, -1]]), np.array([[5.0, 5, 0]]))
     mobile = RobotModel(robot_file("mobile", ROBOTS), floor, np.eye(4))
     mobile.step(0.5)
-    first, *shapes = markers_of(mobile).markers
+    first, *shapes = markers_of(mobile, {1: "base_link", 2: "left_wheel", 3: "right_wheel"}).markers
     assert first.action == messages.Marker.DELETEALL
     assert len(shapes) == 9  # the map isn't among them
     assert len({shape.id for shape in shapes}) == 9
@@ -286,7 +326,8 @@ def test_markers_are_what_cameras_see_of_the_robot(tmp_path: Path) -> None:
         '<body name="b" pos="0 0 2"><geom type="mesh" mesh="a" rgba="1 0 0 1"/>'
         '<geom type="capsule" size="0.1 0.2" rgba="0 1 0 1"/></body></worldbody></mujoco>'
     )
-    _, mesh, tube, *caps = markers_of(RobotModel(tmp_path / "mesh.xml", floor, np.eye(4))).markers
+    robot = RobotModel(tmp_path / "mesh.xml", floor, np.eye(4))
+    _, mesh, tube, *caps = markers_of(robot, {1: "b"}).markers
     assert mesh.type == messages.Marker.TRIANGLE_LIST
     corners = np.array([(point.x, point.y, point.z) for point in mesh.points])
     assert len(corners) == 3 * 80

@@ -197,7 +197,7 @@ def test_own_robots_stay_where_they_are_without_commands(name: str) -> None:
     for body, pose in before.items():
         assert np.linalg.norm(robot.pose(body)[:3, 3] - pose[:3, 3]) < 0.02
     assert robot.model.ncam >= 2
-    assert robot.follows_velocities is (name != "arm")
+    assert robot.travels is (name != "arm")
 
 
 def test_files_that_are_no_robots_are_named(tmp_path: Path) -> None:

@@ -55,6 +55,7 @@ class BodyPictures:
         self._size = width, height
         self._option = self._mj.MjvOption()
         self._option.sitegroup[:] = 0
+        self._option.flags[self._mj.mjtVisFlag.mjVIS_RANGEFINDER] = False  # rays, as lines
         self._scene = self._mj.MjvScene(model, maxgeom=MOST_GEOMETRIES)
         for flag in ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE"):
             self._scene.flags[getattr(self._mj.mjtRndFlag, f"mjRND_{flag}")] = False

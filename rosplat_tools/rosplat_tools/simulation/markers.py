@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -19,17 +20,18 @@ Array = NDArray[np.float64]
 SHOWN_GROUPS = 3  # of geometries, from 0: what cameras see
 
 
-def markers_of(robot: RobotModel) -> MarkerArray:
+def markers_of(robot: RobotModel, frames: Mapping[int, str]) -> MarkerArray:
     """What cameras see of a robot: a marker for each geometry, and for each end of a capsule.
 
-    Each is fixed to its body's frame: who shows them follows TF. The first clears those of before.
+    frames: of bodies, by their numbers. Each marker is fixed to one: who shows them follows TF. The
+    first clears those of before.
     """
     kinds = {name: int(value) for name, value in load_mujoco().mjtGeom.__members__.items()}
-    names = {number: name for number, name, _ in robot.bodies()}
+    own = {number for number, _, _ in robot.bodies()}
     model, shapes = robot.model, []
     for i in range(model.ngeom):
         body = int(model.geom_bodyid[i])
-        if body not in names or model.geom_group[i] >= SHOWN_GROUPS:
+        if body not in own or model.geom_group[i] >= SHOWN_GROUPS:
             continue
         pose = _in_body(robot, body, i)
         kind, size = int(model.geom_type[i]), 2 * model.geom_size[i]
@@ -51,7 +53,7 @@ def markers_of(robot: RobotModel) -> MarkerArray:
         material = int(model.geom_matid[i])
         colour = model.geom_rgba[i] if material < 0 else model.mat_rgba[material]
         for marker in made:
-            marker.header = Header(frame_id=names[body])
+            marker.header = Header(frame_id=frames[body])
             marker.color = ColorRGBA(**dict(zip("rgba", map(float, colour), strict=True)))
             marker.frame_locked = True
             shapes.append(marker)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from rosplat_core.upright import standing_pose
 from rosplat_tools.simulation.physics import compiled, load_mujoco, read_spec
 from rosplat_tools.simulation.solids import (
     BODY,
+    GROUP,
     Boxes,
     add_object,
     add_solids,
@@ -54,6 +56,9 @@ class RobotModel:
         mujoco = load_mujoco()
         mujoco.set_mju_user_warning(lambda text: None)  # else it writes a file; step() tells
         spec = read_spec(path)
+        for geometry in spec.worldbody.geoms:
+            if geometry.type == mujoco.mjtGeom.mjGEOM_PLANE:
+                geometry.group = GROUP  # the map is the ground that is seen
         add_solids(spec, solids, pose)
         self.objects = {
             name: add_object(spec, name, boxes, pose) for name, boxes in (objects or {}).items()
@@ -62,9 +67,13 @@ class RobotModel:
         self.model = compiled(spec, path)
         self.data = mujoco.MjData(self.model)
         self._mujoco = mujoco
-        names = [self.model.actuator(i).name for i in range(self.model.nu)]
-        self.actuators = {name: i for i, name in enumerate(names) if name}
-        """Numbers of actuators by their names."""
+        self.actuators = self._named("actuator", self.model.nu)
+        """Numbers of actuators by names that topics can have."""
+        self.cameras = self._named("camera", self.model.ncam)
+        """Numbers of cameras, likewise."""
+        self.sites = self._named("site", self.model.nsite)
+        """Numbers of sites, likewise."""
+        self._asked = 0.0
         self.reset()
 
     @property
@@ -79,11 +88,16 @@ class RobotModel:
         else:
             self._mujoco.mj_resetData(self.model, self.data)
         self._mujoco.mj_forward(self.model, self.data)
+        self._asked = self.time
 
     def step(self, seconds: float) -> None:
-        """Lets time pass, in whole steps. Raises BrokenState, after which reset() helps."""
-        count = max(1, round(seconds / self.model.opt.timestep))
+        """Lets time pass, in whole steps: what one call leaves over, later ones make up for.
+
+        Raises BrokenState, after which reset() helps.
+        """
         before = self.time
+        self._asked += seconds
+        count = int((self._asked - before) / self.model.opt.timestep + 0.01)
         self._mujoco.mj_step(self.model, self.data, count)
         warnings = [self.data.warning[getattr(self._mujoco.mjtWarning, f"mjWARN_{name}")]
                     for name in BROKEN]  # fmt: skip
@@ -100,25 +114,32 @@ class RobotModel:
             value = float(np.clip(value, *self.model.actuator_ctrlrange[number]))
         self.data.ctrl[number] = value
 
-    def names(self, kind: str) -> list[str]:
-        """Names of the model's cameras, sites or actuators that a topic can have."""
-        counts = {"camera": "ncam", "site": "nsite", "actuator": "nu"}
-        count = getattr(self.model, counts[kind])
-        every = [getattr(self.model, kind)(i).name for i in range(count)]
-        return [name for name in every if name.isidentifier() and name.isascii()]
+    def _named(self, kind: str, count: int) -> dict[str, int]:
+        found: dict[str, int] = {}
+        for number in range(count):
+            name = getattr(self.model, kind)(number).name or f"{kind}_{number}"
+            usable = re.sub("[^A-Za-z0-9_]", "_", name)
+            if not usable[0].isalpha():
+                usable = f"{kind}_{usable.lstrip('_')}"
+            found[another(usable, found, str(number))] = number
+        return found
 
     @property
-    def follows_velocities(self) -> bool:
-        """Whether it has an actuator named linear_x, or like another part of a Twist."""
-        return any(name in VELOCITY for name in self.actuators)
+    def travels(self) -> bool:
+        """Whether its base moves freely, or an actuator is named like a part of a Twist."""
+        joint = self.model.body_jntadr[self.base]
+        free = self._mujoco.mjtJoint.mjJNT_FREE
+        is_free = joint >= 0 and self.model.jnt_type[joint] == free
+        return bool(is_free or self.actuators.keys() & VELOCITY.keys())
 
     @property
     def base(self) -> int:
-        """The body that a robot's odometry is of: the first of the world's that moves."""
-        for body in range(1, self.model.nbody):
-            if self.model.body_dofnum[body] and self.model.body_parentid[body] == 0:
-                return body
-        return 0
+        """The body that a robot's odometry is of: of the tree that has the most bodies, the first
+        that moves. 0 if none does."""
+        trees = self.model.body_rootid
+        robot = np.bincount(trees[1:], minlength=1).argmax()
+        moves = (trees == robot) & (self.model.body_dofnum > 0)
+        return int(moves.argmax())
 
     def bodies(self) -> list[tuple[int, str, int]]:
         """Number, name and parent's number of each body of the robot's file."""
@@ -162,10 +183,29 @@ class RobotModel:
         )  # fmt: skip
         return np.where(found < 0, np.inf, found)
 
-    def sensor(self, name: str) -> Array | None:
-        """What a sensor of the model measures now; None without one of that name."""
-        number = self._mujoco.mj_name2id(self.model, self._mujoco.mjtObj.mjOBJ_SENSOR, name)
-        return None if number < 0 else np.array(self.data.sensor(number).data)
+    def imu(self) -> tuple[str, Array, Array, Array] | None:
+        """The first site at which the model has a gyroscope and an accelerometer; the site's
+        rotation (3, 3) in the world, and what both measure, (3,) each [rad/s, m/s^2]."""
+        kinds = self._mujoco.mjtSensor
+        turns, accelerations = (
+            {int(self.model.sensor_objid[i]): int(self.model.sensor_adr[i])
+             for i in np.flatnonzero(self.model.sensor_type == kind)}
+            for kind in (kinds.mjSENS_GYRO, kinds.mjSENS_ACCELEROMETER)
+        )  # fmt: skip
+        for name, site in self.sites.items():
+            if site in turns and site in accelerations:
+                turn, acceleration = (
+                    self.data.sensordata[each[site] :][:3] for each in (turns, accelerations)
+                )
+                return name, self.data.site_xmat[site].reshape(3, 3), turn, acceleration
+        return None
+
+
+def another(name: str, taken: Collection[str], suffix: str) -> str:
+    """The name, with the suffix as often as it takes to be none of those taken."""
+    while name in taken:
+        name = f"{name}_{suffix}"
+    return name
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,13 +33,19 @@ def stamp_of(seconds: float) -> Time:
     return Time(sec=sec, nanosec=nanosec)
 
 
+def optical(camera: str) -> str:
+    """The frame of what a camera sees."""
+    return f"{camera}_optical"
+
+
 class CameraTopics:
     """A camera of a model."""
 
-    def __init__(self, node: Node, name: str, ticks: int) -> None:
-        """ticks: of simulated time between two pictures."""
+    def __init__(self, node: Node, name: str, number: int, ticks: int) -> None:
+        """name: of its topics. number: in the model. ticks: of simulated time between two
+        pictures."""
         self.ticks = ticks
-        self._name = name
+        self._frame, self._number = optical(name), number
         kinds = {
             "image_raw": Image, "depth/image_raw": Image, "segmentation": Image,
             "camera_info": CameraInfo, "depth/camera_info": CameraInfo,
@@ -51,8 +57,8 @@ class CameraTopics:
 
     def publish(self, stamp: Time, robot: RobotModel, eye: SplatCamera) -> None:
         """Takes a picture of now, if somebody hears it."""
-        header = Header(stamp=stamp, frame_id=f"{self._name}_optical")
-        camera = eye.camera(self._name)
+        header = Header(stamp=stamp, frame_id=self._frame)
+        camera = eye.camera(self._number)
         if not camera.orthographic:  # CameraInfo has no word for it
             info = of_pinhole(camera)
             info.header = header
@@ -61,7 +67,7 @@ class CameraTopics:
         publishers = (self._image, self._depth, self._bodies)
         if not any(publisher.get_subscription_count() for publisher in publishers):
             return
-        picture = eye.picture(self._name, bodies=self._bodies.get_subscription_count() > 0)
+        picture = eye.picture(self._number, bodies=self._bodies.get_subscription_count() > 0)
         self._image.publish(to_image(picture.colour, "rgb8", header))
         self._depth.publish(to_image(picture.depth, "32FC1", header))
         if picture.bodies is not None:
@@ -82,12 +88,12 @@ class LidarTopics:
         if not any(p.get_subscription_count() for p in (self._points, self._scan)):
             return
         assert isinstance(eye.renderer, CpuRenderer)  # the node's own
-        site = robot.data.site(LIDAR)
-        pose = placed(site.xpos, site.xmat)
+        site = robot.sites[LIDAR]
+        pose = placed(robot.data.site_xpos[site], robot.data.site_xmat[site])
         beside = eye.riders.at(robot.data, eye.map_pose)
         scan = self._lidar.scan(eye.renderer, np.linalg.inv(pose) @ eye.map_pose, beside)
         rays = self._lidar.pattern.rays @ pose[:3, :3].T
-        body = int(robot.model.site(LIDAR).bodyid[0])
+        body = int(robot.model.site_bodyid[site])
         scan = _nearer(scan, robot.cast(pose[:3, 3], rays, body), self._lidar.limits)
         header = Header(stamp=stamp, frame_id=LIDAR)
         pattern, limits = self._lidar.pattern, self._lidar.limits

@@ -225,13 +225,16 @@ class Simulate(Node):
     def _connect(self, robot: RobotModel) -> list[CameraTopics | LidarTopics]:
         """Opens the topics of the robot's cameras, lidar and actuators."""
         sensors: list[CameraTopics | LidarTopics] = [
-            CameraTopics(self, name, self._picture_ticks) for name in robot.names("camera")
+            CameraTopics(self, name, number, self._picture_ticks)
+            for name, number in robot.cameras.items()
         ]
-        if LIDAR in robot.names("site"):
+        if not sensors:
+            self.get_logger().info(f"{shown(self._file.stem)} has no camera: it takes no pictures")
+        if LIDAR in robot.sites:
             period = 1 / self._lidar_rate
             ticks = ticks_of(self._lidar_rate, TICK)
             sensors.append(LidarTopics(self, self._lidar, ticks, period))
-        for name in robot.names("actuator"):
+        for name in robot.actuators:
             self.create_subscription(
                 Float64, f"actuators/{name}", self._commander(name), **overridable(COMMANDS)
             )

@@ -12,12 +12,14 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 
+from rosplat_core.quaternions import from_matrices
 from rosplat_core.rigid import placed
 from rosplat_ros.poses import to_pose, to_quaternion, to_vector
 from rosplat_ros.qos import LATCHED, overridable
 from rosplat_tools.frames import TF, TFMessage, transform
 from rosplat_tools.simulation.body_pictures import OPTICAL
-from rosplat_tools.simulation.robot_model import RobotModel
+from rosplat_tools.simulation.robot_model import RobotModel, another
+from rosplat_tools.simulation.sensors import LIDAR, optical
 
 try:  # which environments from PyPI may lack
     from visualization_msgs.msg import MarkerArray
@@ -29,8 +31,8 @@ except ImportError:
 Array = NDArray[np.float64]
 
 SENSOR = QoSProfile(depth=10)
+FIXED = 0  # mjCAMLIGHT_FIXED: of a camera, on its body
 AGAIN = 50, 250, 1000  # states after which a new rviz2 may know of all frames: 1, 5 and 20 s
-IMU = ("orientation", "angular_velocity", "linear_acceleration")  # sensors of a model
 
 
 class States:
@@ -61,14 +63,29 @@ class States:
         robot's world [m]."""
         self._robot = robot
         self._bodies = robot.bodies()
-        self._names = {0: self._odom} | {number: name for number, name, _ in self._bodies}
+        self._name_frames(robot, map_frame)
         if self._tf_static:
             header = Header(frame_id=map_frame)
             stands = transform(header, self._odom, to_pose(np.linalg.inv(map_pose)))
             self._tf_static.publish(TFMessage(transforms=[stands, *self.fixed(robot)]))
         if self._shapes:
-            self._shapes.publish(markers_of(robot))
+            self._shapes.publish(markers_of(robot, self.frames))
         self.begin_anew()
+
+    def _name_frames(self, robot: RobotModel, map_frame: str) -> None:
+        """Gives each body, camera and site a frame of its own, whatever they share names with."""
+        self._eyes = {number: optical(name) for name, number in robot.cameras.items()}
+        taken = {map_frame, self._odom, *self._eyes.values(), *robot.sites.keys() & {LIDAR}}
+        self.frames = {0: self._odom}
+        """Of bodies, by their numbers."""
+        for number, name, _ in self._bodies:
+            self.frames[number] = another(name, taken, "body")
+            taken.add(self.frames[number])
+        self._sites = {}
+        for name, number in robot.sites.items():
+            frame = name if name == LIDAR else another(name, taken, "site")
+            self._sites[name] = number, frame
+            taken.add(frame)
 
     def begin_anew(self) -> None:
         """Simulated time goes back: rviz2 forgets all markers then, which come again."""
@@ -82,11 +99,7 @@ class States:
         self._since = 0 if viewers > self._viewers else self._since + 1
         self._viewers = viewers
         if self._since in AGAIN:
-            self._shapes.publish(markers_of(self._robot))
-
-    def frame_of(self, body: int) -> str:
-        """The frame of a body, by its number."""
-        return self._names.get(body, self._odom)
+            self._shapes.publish(markers_of(self._robot, self.frames))
 
     def publish(self, stamp: Time) -> None:
         """Publishes the state as it is now."""
@@ -108,57 +121,63 @@ class States:
             self._show_again()
         if self._tf:
             self._tf.publish(TFMessage(transforms=self.transforms(stamp)))
-        if robot.follows_velocities:
+        if robot.travels:
             self._odometry.publish(self._odometry_message(robot, stamp))
         if (imu := self._imu_message(robot, stamp)) is not None:
             self._imu.publish(imu)
 
     def transforms(self, stamp: Time) -> list[TransformStamped]:
-        """Where each body is in its parent's frame."""
+        """Where bodies are in their parents' frames, and cameras that turn to what they track."""
         assert self._robot
         found = []
-        for number, name, parent in self._bodies:
+        for number, _, parent in self._bodies:
             pose = np.linalg.inv(self._robot.pose(parent)) @ self._robot.pose(number)
-            header = Header(stamp=stamp, frame_id=self._names[parent])
-            found.append(transform(header, name, to_pose(pose)))
-        return found
+            header = Header(stamp=stamp, frame_id=self.frames[parent])
+            found.append(transform(header, self.frames[number], to_pose(pose)))
+        return found + self._cameras(self._robot, stamp, fixed=False)
 
     def fixed(self, robot: RobotModel) -> list[TransformStamped]:
         """Where the optical frames of cameras, and sites, are on their bodies."""
-        model, data, found = robot.model, robot.data, []
-        for i in range(model.ncam):
-            pose = placed(data.cam_xpos[i], data.cam_xmat[i])
-            pose[:3, :3] = pose[:3, :3] @ OPTICAL
-            found.append((int(model.cam_bodyid[i]), f"{model.camera(i).name}_optical", pose))
-        for i in range(model.nsite):
-            pose = placed(data.site_xpos[i], data.site_xmat[i])
-            found.append((int(model.site_bodyid[i]), model.site(i).name, pose))
-        return [
-            transform(
-                Header(frame_id=self.frame_of(body)),
-                name,
-                to_pose(np.linalg.inv(robot.pose(body)) @ pose),
-            )
-            for body, name, pose in found
-            if name
-        ]
+        found = self._cameras(robot, Time(), fixed=True)
+        for number, frame in self._sites.values():
+            body = int(robot.model.site_bodyid[number])
+            pose = placed(robot.data.site_xpos[number], robot.data.site_xmat[number])
+            found.append(self._on_body(robot, Time(), body, frame, pose))
+        return found
+
+    def _cameras(self, robot: RobotModel, stamp: Time, *, fixed: bool) -> list[TransformStamped]:
+        found, model, data = [], robot.model, robot.data
+        for number, frame in self._eyes.items():
+            if (model.cam_mode[number] == FIXED) == fixed:
+                pose = placed(data.cam_xpos[number], data.cam_xmat[number])
+                pose[:3, :3] = pose[:3, :3] @ OPTICAL
+                body = int(model.cam_bodyid[number])
+                found.append(self._on_body(robot, stamp, body, frame, pose))
+        return found
+
+    def _on_body(
+        self, robot: RobotModel, stamp: Time, body: int, frame: str, pose: Array
+    ) -> TransformStamped:
+        header = Header(stamp=stamp, frame_id=self.frames.get(body, self._odom))
+        return transform(header, frame, to_pose(np.linalg.inv(robot.pose(body)) @ pose))
 
     def _odometry_message(self, robot: RobotModel, stamp: Time) -> Odometry:
         base = robot.base
         message = Odometry(header=Header(stamp=stamp, frame_id=self._odom))
-        message.child_frame_id = self.frame_of(base)
+        message.child_frame_id = self.frames[base]
         message.pose.pose = to_pose(robot.pose(base))
         velocity = robot.velocity(base)
         message.twist.twist = Twist(linear=to_vector(velocity[:3]), angular=to_vector(velocity[3:]))
         return message
 
     def _imu_message(self, robot: RobotModel, stamp: Time) -> Imu | None:
-        orientation, turn, acceleration = (robot.sensor(name) for name in IMU)
-        if orientation is None or turn is None or acceleration is None:
+        measured = robot.imu()
+        if measured is None:
             return None
+        site, rotation, turn, acceleration = measured
         return Imu(
-            header=Header(stamp=stamp, frame_id="imu"),
-            orientation=to_quaternion(np.roll(orientation, -1)),
+            header=Header(stamp=stamp, frame_id=self._sites[site][1]),
+            orientation=to_quaternion(from_matrices(rotation)),
             angular_velocity=to_vector(turn),
             linear_acceleration=to_vector(acceleration),
         )
