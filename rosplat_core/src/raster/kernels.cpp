@@ -920,12 +920,9 @@ void atSamples(const TileSamples& samples, int top, const Record& e, const RaySh
     const Floats dx = x - e.x, dy = y - e.y;
     const Floats u = fma(dx, all(e.ux), fma(dy, all(e.uy), all(shape.u)));
     const Floats v = fma(dx, all(e.vx), fma(dy, all(e.vy), all(shape.v)));
-    Floats along = fma(dx, all(shape.tilt_x), fma(dy, all(shape.tilt_y), all(shape.along)));
-    Floats flat = fma(v, v, u * u);
-    if (samples.half_lines) {  // the largest response is at the camera, 1 / nearness away
-      along = max(along, Floats{});
-      flat = max(flat, all(1e-20f));
-    }
+    // Of what is behind the camera, the largest response is at the camera, 1 / nearness away.
+    const Floats line = fma(dx, all(shape.tilt_x), fma(dy, all(shape.tilt_y), all(shape.along)));
+    const Floats along = max(line, Floats{}), flat = max(fma(v, v, u * u), all(1e-20f));
     const Floats over = 1.0f / fma(along, along, shape.nearness * flat);
     const Floats on_ray = fma(-flat, over, peak);
     const Floats beside = x - shape.spot_x, below = y - shape.spot_y;

@@ -137,13 +137,13 @@ struct Footprint {
   float x, y, reach_y, half_width, lean, rightmost;
 };
 
-// Samples in place of a tile's pixels, kTilePixels at most; padded to a whole vector.
+// Samples in place of a tile's pixels, kTilePixels at most; padded to a whole vector. What a ray's
+// line meets behind the camera doesn't count.
 struct TileSamples {
   const float* x;  // [px]
   const float* y;
   // Where those of each of the tile's rows of pixels begin, and the end.
   const std::uint16_t* rows;
-  bool half_lines;  // what a ray's line meets behind the camera doesn't count
 };
 
 // A splat in the list of a tile.

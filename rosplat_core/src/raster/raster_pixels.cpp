@@ -131,7 +131,7 @@ void CpuRasterizer::Work::blendSamples(const PictureRequest& request, SplatPictu
     tile.records = records.get();
     tile.shapes = shapes.get();
     tile.top = top;
-    tile.samples = {member.opaque, member.divided, rows, !samples.axis};
+    tile.samples = {member.opaque, member.divided, rows};
     tile.ends_at = ends_at;
     tile.pixels = &pixels;
     kernels.blend(tile, request.depth);

@@ -41,8 +41,9 @@ def along_rays(
     """(..., 4) premultiplied RGBA and (..., ) mean depths along the lens's z of rays (..., 3).
 
     Splats count, and are ordered, by their depth along z. behind: by their distance, as for a lens
-    that sees behind itself; what a ray's line meets behind the lens doesn't count then. camera:
-    whose pixels the rays are, for the spots of discs; without one, discs have none.
+    that sees behind itself. camera: a pinhole camera whose pixels the rays are, for the spots of
+    discs, and as pinhole pictures have what a ray's line meets behind the camera; without one,
+    discs have no spots, and that doesn't count.
     """
     world = splats.positions.astype(np.float64) + splats.origin
     rotation = world_to_lens[:3, :3]
@@ -61,7 +62,7 @@ def along_rays(
             splats.model, means[i], axes[i], splats.scales[i].astype(np.float64), rays
         )
         met = np.maximum(steps * rays[..., 2], 0)
-        if behind:  # the largest response on the half line is at the lens
+        if camera is None:  # the largest response on the half line is at the lens
             to_ball = axes[i].T @ means[i] / splats.scales[i]
             within = np.inf if splats.model is Model.DISC else (to_ball**2).sum()
             distances = np.where(steps > 0, distances, within)

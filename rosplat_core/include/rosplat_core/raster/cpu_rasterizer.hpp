@@ -37,13 +37,12 @@ struct PictureLayer {
 
 // Places in a picture that are seen in place of its pixels: the pixels of a lens, where their rays
 // pierce a face of a cube around the camera. Each is seen along its own ray, so that the faces have
-// no seams.
+// no seams. What a ray's line meets behind the camera doesn't count.
 struct PictureSamples {
   ArrayView<std::uint32_t> begins;  // of each tile's samples, row by row of tiles, and the end
   ArrayView<float> x, y;            // sorted by tile, and there by row of pixels [px]
   // The lens's own axis in the face's frame: depths along it decide on clips and order. Unset, for
-  // a lens that sees behind itself: distances do, and what a ray's line meets behind the camera
-  // doesn't count.
+  // a lens that sees behind itself: distances do.
   std::optional<std::array<float, 3>> axis;
 };
 
