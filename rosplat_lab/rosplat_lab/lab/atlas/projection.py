@@ -9,8 +9,13 @@ from itertools import pairwise
 import numpy as np
 
 from rosplat_core.cameras import Camera
+from rosplat_core.lens_pictures import take_picture
+
+from rosplat_core.lenses import Lens, Warp
 from rosplat_core.models import Model
+from rosplat_core.rendering import CpuRenderer
 from rosplat_core.splats import Splats, concatenate
+from rosplat_lab import reference
 from rosplat_lab.lab.atlas.case import Cases, Errors
 from rosplat_lab.lab.atlas.stage import (
     HEIGHT,
@@ -26,6 +31,7 @@ from rosplat_lab.lab.atlas.stage import (
     truth,
 )
 from rosplat_lab.lab.motion import placed
+from rosplat_lab.reference.rays import along_rays
 
 CASES = Cases()
 
@@ -38,20 +44,42 @@ def by_models(stage: Stage, splats: Splats, camera: Camera) -> Errors:
         yield f"{PROCESSOR}, {model}", decibels(picture, truth(of_model, camera))
 
 
-@CASES.enter("Wide fields of view", "angle of view [deg]", [40, 60, 80, 100, 120, 140])
-def wide_view(stage: Stage, angle: float) -> Errors:
+def all_around() -> Splats:
+    """Splats on all sides of the origin."""
     random = np.random.default_rng(0)
     directions = random.normal(size=(150, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    room = replace(
-        cloud(150, size=0.5), positions=(directions * random.uniform(2, 4, (150, 1))).astype("f4")
-    )
-    camera = ahead(math.radians(angle))
+    positions = directions * random.uniform(2, 4, (150, 1))
+    return replace(cloud(150, size=0.5), positions=positions.astype("f4"))
+
+
+@CASES.enter("Wide fields of view", "angle of view [deg]", [40, 60, 80, 100, 120, 140])
+def wide_view(stage: Stage, angle: float) -> Errors:
+    room, camera = all_around(), ahead(math.radians(angle))
     expected = truth(room, camera)
     yield from stage.both(room, camera, expected)
     by_rays = truth(replace(room, model=Model.RAY), camera)
     yield "EWA against exact rays", decibels(expected, by_rays)
     yield from by_models(stage, room, camera)
+
+
+@CASES.enter("Fisheyes", "angle of view, corner to corner [deg]", [60, 120, 180, 240, 300])
+def fisheye(stage: Stage, angle: float) -> Errors:
+    room, focal, middle = all_around(), WIDTH * math.sqrt(2) / math.radians(angle), WIDTH / 2
+    lens = Lens(WIDTH, WIDTH, focal, focal, middle - 0.5, middle - 0.5, "equidistant")
+    camera = Camera(0, WIDTH, WIDTH, focal, focal, middle, middle, np.eye(4))
+    rows, columns = np.mgrid[:WIDTH, :WIDTH]
+    rays = lens.rays(np.stack([columns, rows], axis=-1))
+    behind = angle > 180
+    truths = {
+        Model.EWA: reference.render(room, camera, lens=lens, by_distance=behind).rgba,
+        Model.RAY: along_rays(replace(room, model=Model.RAY), np.eye(4), rays, behind=behind)[0],
+    }
+    for model, expected in truths.items():
+        taken = take_picture(CpuRenderer(replace(room, model=model)), Warp(lens), np.eye(4))
+        yield f"{PROCESSOR}, {model}", decibels(taken.colour, expected[..., :3])
+    ellipses, exact = (expected[..., :3] for expected in truths.values())
+    yield "EWA against exact rays", decibels(ellipses, exact)
 
 
 @CASES.enter(
