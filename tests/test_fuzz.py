@@ -27,7 +27,8 @@ from test_conformance import Display, Publisher, Sorter, Twin
 
 from rosplat_core import _core, depth, formats
 from rosplat_core.cameras import load_cameras
-from rosplat_core.lenses import LensError, Warp
+from rosplat_core.lens_warps import Warp
+from rosplat_core.lenses import LensError
 from rosplat_core.maps import Arrival
 from rosplat_core.posed_camera import CameraError
 from rosplat_core.rendering import CpuRenderer, DrawMode, OrderSource, SplatCamera

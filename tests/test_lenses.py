@@ -13,7 +13,8 @@ from drawing import CAMERAS, cloud, decibels
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.generated import generate
 from rosplat_core.lens_pictures import Shutter, take_picture
-from rosplat_core.lenses import Lens, LensError, Straightened, Warp
+from rosplat_core.lens_warps import Straightened, Warp
+from rosplat_core.lenses import Lens, LensError
 from rosplat_core.models import Model
 from rosplat_core.rendering import Contributions, CpuRenderer, DrawMode, posed
 from rosplat_lab import reference

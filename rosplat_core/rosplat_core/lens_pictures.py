@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
-from rosplat_core.lenses import Lens, Warp
+from rosplat_core.lens_warps import Warp
+from rosplat_core.lenses import Lens
 from rosplat_core.models import Model
 from rosplat_core.rendering import CpuRenderer, DrawMode, SplatCamera, posed
 

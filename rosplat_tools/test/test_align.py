@@ -22,7 +22,8 @@ from rosplat_core.alignment import motion
 from rosplat_core.cameras import Camera, look_at, save_cameras
 from rosplat_core.generated import generate
 from rosplat_core.lens_pictures import take_picture
-from rosplat_core.lenses import Lens, Warp
+from rosplat_core.lens_warps import Warp
+from rosplat_core.lenses import Lens
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.rendering import CpuRenderer
 from rosplat_msgs.msg import Comparison

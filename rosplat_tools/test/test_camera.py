@@ -20,7 +20,8 @@ from std_msgs.msg import Header
 from rosplat_core.cameras import look_at
 from rosplat_core.generated import generate
 from rosplat_core.lens_pictures import Shutter, take_picture
-from rosplat_core.lenses import Lens, Warp
+from rosplat_core.lens_warps import Warp
+from rosplat_core.lenses import Lens
 from rosplat_core.rendering import CpuRenderer
 from rosplat_ros.images import from_image, to_bytes
 from rosplat_ros.map_publisher import MapPublisher

@@ -17,7 +17,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from rosplat_core.cameras import look_at
 from rosplat_core.generated import generate
 from rosplat_core.lens_pictures import take_picture
-from rosplat_core.lenses import Lens, Warp
+from rosplat_core.lens_warps import Warp
+from rosplat_core.lenses import Lens
 from rosplat_core.rendering import CpuRenderer
 from rosplat_msgs.msg import Comparison
 from rosplat_ros.images import from_image, to_bytes, to_image

@@ -19,7 +19,8 @@ from rosplat_core import formats
 from rosplat_core.cameras import look_at
 from rosplat_core.generated import generate
 from rosplat_core.lens_pictures import take_picture
-from rosplat_core.lenses import Lens, Warp
+from rosplat_core.lens_warps import Warp
+from rosplat_core.lenses import Lens
 from rosplat_core.maps import PublishedMap
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.splats import Splats

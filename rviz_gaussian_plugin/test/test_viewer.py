@@ -21,7 +21,8 @@ from std_msgs.msg import Header
 
 from rosplat_core.cameras import Camera
 from rosplat_core.lens_pictures import take_picture
-from rosplat_core.lenses import Lens, Warp
+from rosplat_core.lens_warps import Warp
+from rosplat_core.lenses import Lens
 from rosplat_core.maps import Arrival, GaussianMap
 from rosplat_core.rendering import CpuRenderer, SplatCamera, insert_all
 from rosplat_core.splats import Splats

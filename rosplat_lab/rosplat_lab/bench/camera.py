@@ -19,7 +19,8 @@ import numpy as np
 
 from rosplat_core.cameras import Camera
 from rosplat_core.lens_pictures import take_picture
-from rosplat_core.lenses import PLUMB_BOB, Lens, Warp
+from rosplat_core.lens_warps import Warp
+from rosplat_core.lenses import PLUMB_BOB, Lens
 from rosplat_core.rendering import CpuRenderer
 from rosplat_lab import metrics
 from rosplat_lab.bench import scenes

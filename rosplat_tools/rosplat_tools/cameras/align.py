@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
 
-from rosplat_core.lenses import Straightened
+from rosplat_core.lens_warps import Straightened
 from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError
 from rosplat_msgs.srv import Align

@@ -21,7 +21,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from rosplat_core.lens_pictures import DEPTHS, LensPicture, Shutter, take_picture
-from rosplat_core.lenses import Lens, Warp
+from rosplat_core.lens_warps import Warp
+from rosplat_core.lenses import Lens
 from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError
 from rosplat_ros.diagnostics import Diagnostics

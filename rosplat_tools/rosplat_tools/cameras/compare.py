@@ -16,7 +16,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 
-from rosplat_core.lenses import Lens, Straightened, Warp
+from rosplat_core.lens_warps import Straightened, Warp
+from rosplat_core.lenses import Lens
 from rosplat_msgs.msg import Comparison
 from rosplat_ros.diagnostics import Diagnostics
 from rosplat_ros.images import to_image

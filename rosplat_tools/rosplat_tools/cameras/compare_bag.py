@@ -13,7 +13,7 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image
 from tqdm import tqdm
 
-from rosplat_core.lenses import Warp
+from rosplat_core.lens_warps import Warp
 from rosplat_core.log_text import counted, shown
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.lens_pictures import take_picture
-from rosplat_core.lenses import Warp
+from rosplat_core.lens_warps import Warp
 from rosplat_core.rendering import CpuRenderer
 from rosplat_msgs.msg import Comparison
 from rosplat_ros.images import to_bytes

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rosplat_core.cameras import Camera, load_cameras, load_trajectory
-from rosplat_core.lenses import Straightened
+from rosplat_core.lens_warps import Straightened
 from rosplat_core.relocalisation import Relocaliser
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.splats import InputError

@@ -11,7 +11,7 @@ from geometry_msgs.msg import PoseWithCovariance
 from numpy.typing import NDArray
 
 from rosplat_core.alignment import Alignment, align
-from rosplat_core.lenses import Straightened
+from rosplat_core.lens_warps import Straightened
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.rendering import CpuRenderer
 from rosplat_ros.poses import to_pose

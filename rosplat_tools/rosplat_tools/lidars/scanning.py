@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
-from rosplat_core.lenses import Samples
+from rosplat_core.lens_warps import Samples
 from rosplat_core.models import Model
 from rosplat_core.rendering import CpuRenderer, posed
 

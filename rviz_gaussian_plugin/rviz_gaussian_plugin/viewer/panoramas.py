@@ -10,7 +10,8 @@ from rclpy.node import Node
 
 from rosplat_core.cameras import EQUIRECTANGULAR
 from rosplat_core.lens_pictures import EXPECTED, LensPicture, take_picture
-from rosplat_core.lenses import Lens, Warp
+from rosplat_core.lens_warps import Warp
+from rosplat_core.lenses import Lens
 from rosplat_core.maps import Arrival
 from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.rendering import CpuRenderer

@@ -10,8 +10,8 @@ import numpy as np
 
 from rosplat_core.cameras import Camera
 from rosplat_core.lens_pictures import take_picture
-
-from rosplat_core.lenses import Lens, Warp
+from rosplat_core.lens_warps import Warp
+from rosplat_core.lenses import Lens
 from rosplat_core.models import Model
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.splats import Splats, concatenate
