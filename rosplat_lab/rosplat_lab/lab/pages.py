@@ -9,6 +9,7 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+import numpy as np
 from PIL import Image
 
 from rosplat_core.program.files import write_below
@@ -174,6 +175,8 @@ def chart(path: Path, found: Curves) -> None:
                 positive = [x for x in xs if x > 0]
                 if max(positive) / min(positive) > 50:
                     axes.set_xscale("symlog", linthresh=min(positive))
+                    powers = np.arange(*np.ceil(np.log10([min(positive), 1.01 * max(positive)])))
+                    axes.set_xticks([0.0] * (min(xs) == 0) + (10.0**powers).tolist())
             axes.set_title(case.title, fontsize=9)
             axes.set_xlabel(case.axis)
             axes.set_ylabel("PSNR [dB]" if case.unit == "dB" else case.unit)
