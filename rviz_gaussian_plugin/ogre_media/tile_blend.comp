@@ -10,7 +10,8 @@ layout(binding = 0) writeonly uniform image2D blended;
 layout(binding = 1) uniform sampler2D behind_depth;
 layout(binding = 1) writeonly uniform image2D blended_behind;
 layout(binding = 2) writeonly uniform image2D nearness_behind;  // as in splat_hide.frag
-#else
+#endif
+#ifdef SEGMENTS
 uniform bool later;  // work groups blend later segments, not the region's tiles or first segments
 #endif
 
@@ -185,7 +186,11 @@ void blendBatch(uint part, uint count, vec2 pixel, bool hides, float hidden_from
       }
 #endif
       float light = b.transmittance * alphas[s];
+#ifdef MEDIAN
+      if (b.transmittance > 0.5 && b.transmittance - light <= 0.5) b.colour = colours[s];
+#else
       b.colour += light * colours[s];
+#endif
       b.transmittance -= light;
     }
 #ifdef BEHIND
@@ -199,7 +204,7 @@ void blendBatch(uint part, uint count, vec2 pixel, bool hides, float hidden_from
 void main() {
   uint local = gl_LocalInvocationIndex;
   ivec2 tile = groupTile();
-#ifndef BEHIND
+#ifdef SEGMENTS
   uint segment = workGroup();
   if (later) {
     if (segment >= segments.count) return;
@@ -210,7 +215,7 @@ void main() {
   uint number = tileNumber(tile);
   TileList list = lists[number];
   uint begin = list.begin, end = list.end;
-#ifndef BEHIND
+#ifdef SEGMENTS
   if (later) {
     if (segment == list.first_segment) return;
     begin += kFirstSegment + kLaterSegment * (segment - list.first_segment - 1u);
@@ -241,9 +246,13 @@ void main() {
   b.transmittance_behind = 1.0;
   b.nearness = 0.0;
 #endif
+#ifdef MEDIAN
+  b.least_transmittance = 0.5;
+#else
   b.least_transmittance = kTransparentInTiles;
+#endif
   b.done = !inside;
-#ifndef BEHIND
+#ifdef SEGMENTS
   if (later) {
     float first = partials[256u * list.first_segment + local].a;
     b.least_transmittance /= first;
@@ -288,10 +297,12 @@ void main() {
   imageStore(blended_behind, texel, vec4(b.colour_behind, 1.0 - b.transmittance_behind));
   imageStore(nearness_behind, texel, vec4(b.nearness, 1.0 - b.transmittance_behind, 0.0, 0.0));
 #else
-  if (list.first_segment == kNone) {
-    if (inside) imageStore(blended, texel, vec4(b.colour, 1.0 - b.transmittance));
+#ifdef SEGMENTS
+  if (list.first_segment != kNone) {
+    partials[256u * segment + local] = vec4(b.colour, b.transmittance);
     return;
   }
-  partials[256u * segment + local] = vec4(b.colour, b.transmittance);
+#endif
+  if (inside) imageStore(blended, texel, vec4(b.colour, 1.0 - b.transmittance));
 #endif
 }

@@ -1,5 +1,6 @@
 // A tile's long list is cut into segments, each blended by a work group: a first one, then later ones, which
 // know the transmittance of the first. tile_composite.comp lays the results over each other.
+#define SEGMENTS
 layout(std430) buffer Segments {
   uint count;
   uint tiles[];  // of each segment; a tile's later segments follow its first one

@@ -305,11 +305,12 @@ void SplatRenderer::drawBefore(const std::string& view_id) const {
   composite(window, view->color);
 }
 
-void SplatRenderer::blendDepth(ViewState& view, Frame& frame, const gl::Target& target) {
+void SplatRenderer::blendDepth(ViewState& view, Frame& frame, PictureDepth depth,
+                               const gl::Target& target) {
   frame.depths = true;
   do {
     view.prepare(frame);
-    view.blendDepth(target);
+    view.blendDepth(depth, target);
   } while (!view.checkRoom());
 }
 
@@ -323,7 +324,7 @@ void SplatRenderer::drawSurface(const CardPicture& picture, Canvas canvas, doubl
   surface_depth_.become(GL_RGBA32F, camera.width, camera.height, window.targetDepth());
   const gl::DrawScope scope(surface_depth_);
   copyDepth(window, surface_depth_);
-  blendDepth(view, frame, surface_depth_);
+  blendDepth(view, frame, PictureDepth::kMean, surface_depth_);
   glDisable(GL_BLEND);
   glDisable(GL_DEPTH_TEST);
   surface_.use();
@@ -382,8 +383,7 @@ std::vector<float> SplatRenderer::readColor() const {
   return pixels;
 }
 
-std::vector<float> SplatRenderer::readDepth() {
-  if (!drawn_) return {};
+const gl::Target& SplatRenderer::drawDepth(PictureDepth depth) {
   const gl::Turn turn(sort_is_free_);
   gl::Stopwatch stopwatch(false);
   const CanvasScope window(Canvas::kNone);
@@ -399,10 +399,18 @@ std::vector<float> SplatRenderer::readDepth() {
   for (std::size_t i = 0; i < frame.layers.size(); ++i) {
     frame.layers[i].error = drawn_->errors[i];
   }
-  blendDepth(view, frame, depth_);
+  blendDepth(view, frame, depth, depth_);
+  return depth_;
+}
+
+std::vector<float> SplatRenderer::readDepth() {
+  if (!drawn_) return {};
+  const gl::StateGuard guard;
+  const gl::DrawScope scope(drawDepth(PictureDepth::kMean));
+  const ViewState& view = *drawn_->view;
+  const int width = depth_.width(), height = depth_.height();
   const std::size_t columns = static_cast<std::size_t>(width),
                     rows = static_cast<std::size_t>(height);
-  glBindFramebuffer(GL_READ_FRAMEBUFFER, scope.framebuffer());
   const std::vector<float> sums = gl::readPixels(width, height, GL_RED);
   const std::vector<float> weights = gl::readPixels(width, height, GL_ALPHA);
   std::vector<float> depths(columns * rows);

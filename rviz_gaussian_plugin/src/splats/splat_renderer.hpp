@@ -86,8 +86,11 @@ class SplatRenderer {
 
   // The splats that draw() blended: width * height * 4 floats, premultiplied, top row first.
   std::vector<float> readColor() const;
-  // Draws the mean depth of the picture that draw() drew last: width * height [m], NaN where there
-  // are no splats. Maps are shown as they are now.
+  // Draws depths of the picture that draw() drew last, as TileRasterizer::blendDepth() has them.
+  // The target is valid until the next picture.
+  const gl::Target& drawDepth(PictureDepth depth);
+  // The same for the processor: the mean depth of the picture that draw() drew last: width * height
+  // [m], NaN where there are no splats. Maps are shown as they are now.
   std::vector<float> readDepth();
 
   // For the user: what the driver can't do and what is done instead. Empty if it can do everything.
@@ -132,7 +135,8 @@ class SplatRenderer {
   void drop(const std::string& name);
   Frame frame(const CardPicture& picture, Canvas canvas, gl::Stopwatch& stopwatch) const;
   // Submits the depths of a frame into a target, whose own depths hide splats.
-  static void blendDepth(ViewState& view, Frame& frame, const gl::Target& target);
+  static void blendDepth(ViewState& view, Frame& frame, PictureDepth depth,
+                         const gl::Target& target);
   // Copies the window's depth into the target that is bound, or clears that if the driver can't.
   void copyDepth(const CanvasScope& window, const gl::Target& target);
   static void keepTranslucent(ViewState& view, const SplatCamera& camera,

@@ -78,6 +78,8 @@ TileRasterizer::TileRasterizer(Shaders& shaders, RadixSort& sort, const Tallies&
           blender(shaders, {"splat_balls.glsl", "splat_shares.glsl", "splat_behind.glsl"})),
       blend_depths_(blender(shaders, {"tile_segments.glsl", "splat_balls.glsl", "splat_shares.glsl",
                                       "splat_depths.glsl"})),
+      blend_medians_(blender(shaders, {"splat_balls.glsl", "splat_shares.glsl", "splat_depths.glsl",
+                                       "splat_median.glsl"})),
       sort_(sort),
       tallies_(tallies),
       macro_pairs_(tallies.of(Tallies::kMacroPairs)),
@@ -259,8 +261,14 @@ void TileRasterizer::blend(const OrderedSplats& splats, const gl::Target& target
   glMemoryBarrier(kReadNext);
 }
 
-void TileRasterizer::blendDepth(const OrderedSplats& splats, const gl::Target& target) {
-  blendInSegments(blend_depths_.of(splats.projection().shapes()), splats, target);
+void TileRasterizer::blendDepth(const OrderedSplats& splats, PictureDepth depth,
+                                const gl::Target& target) {
+  const Shapes shapes = splats.projection().shapes();
+  if (depth == PictureDepth::kMean) {
+    return blendInSegments(blend_depths_.of(shapes), splats, target);
+  }
+  blendTiles(blend_medians_.of(shapes), splats, target);  // which end where half is left
+  glMemoryBarrier(kReadNext);
 }
 
 void TileRasterizer::blendInSegments(const gl::Program& program, const OrderedSplats& splats,

@@ -12,6 +12,7 @@
 #include "gpu/picture_regions.hpp"
 #include "gpu/radix_sort.hpp"
 #include "gpu/tally.hpp"
+#include "rosplat_core/raster/picture_depth.hpp"
 
 namespace rosplat {
 
@@ -42,8 +43,9 @@ class TileRasterizer {
   // `behind`, if not null, gets the splats that the target's depth hides and its own depth lets
   // pass; its second colour gets their nearness, as splat_hide.frag reads it.
   void blend(const OrderedSplats& splats, const gl::Target& target, const gl::Target* behind);
-  // The same, but red gets the splats' depth [m] times alpha.
-  void blendDepth(const OrderedSplats& splats, const gl::Target& target);
+  // The same, but red gets the splats' mean depth times alpha, or their median depth where alpha is
+  // at least one half. [m]
+  void blendDepth(const OrderedSplats& splats, PictureDepth depth, const gl::Target& target);
 
   // What the lists of a region would have with room for all: pairs of a splat and a macro tile, of
   // a splat and a tile, and segments of long lists.
@@ -82,7 +84,7 @@ class TileRasterizer {
   ShapedProgram count_, list_macros_, touch_;
   const gl::Program &place_, &list_, &composite_;
   ShapedProgram blend_, blend_balls_, blend_divided_, blend_shares_, blend_shares_divided_;
-  ShapedProgram blend_depths_;
+  ShapedProgram blend_depths_, blend_medians_;
   RadixSort& sort_;
   const Tallies& tallies_;
   gl::Slice macro_pairs_, wanted_;

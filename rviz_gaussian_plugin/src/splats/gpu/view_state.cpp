@@ -75,10 +75,10 @@ void ViewState::blend(gl::Stopwatch& stopwatch, bool divided) {
   });
 }
 
-void ViewState::blendDepth(const gl::Target& target) {
+void ViewState::blendDepth(PictureDepth depth, const gl::Target& target) {
   gl::Stopwatch unused(false);
   do {
-    inRegions(unused, [&] { tiles_.blendDepth(splats_, target); });
+    inRegions(unused, [&] { tiles_.blendDepth(splats_, depth, target); });
   } while (!checkRoomForLists(1));
 }
 

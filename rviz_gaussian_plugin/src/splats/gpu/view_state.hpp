@@ -41,7 +41,7 @@ class ViewState {
   void blend(gl::Stopwatch& stopwatch, bool divided);
   // Blends depths of a frame of these into a target instead: see TileRasterizer. Waits for the
   // lists' counts.
-  void blendDepth(const gl::Target& target);
+  void blendDepth(PictureDepth depth, const gl::Target& target);
   // Returns whether there was room for all that was submitted; else makes room. Waits only for the
   // counts, which the graphics card finds first.
   bool checkRoom();
