@@ -49,18 +49,22 @@ MAP = "map"
 class Renderer(Protocol):
     """Holds a map and draws it: a CpuRenderer, or rviz_gaussian_plugin.offscreen.CardRenderer."""
 
+    context: Any
+    """Of OpenGL, in which objects are to be drawn; None: anywhere."""
+
     def beside(self) -> Any:
         """Another map, empty, whose pictures this draws with its own; it has `apply`."""
 
-    def picture(
-        self,
-        camera: Camera,
-        *,
-        scene_depth: NDArray[np.float32] | None = None,
-        beside: Sequence[Any] = (),
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """What a camera sees, as CpuRenderer.render() has it, and depths (height, width) along its
-        z [m]. beside: maps to draw, too, which beside() made."""
+    def over(
+        self, camera: Camera, below: Any = None, *, beside: Sequence[Any] = ()
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]:
+        """What a camera sees of maps and of opaque objects, which hide the splats whose centres are
+        behind them: RGB (height, width, 3), depths along its z [m], and where splats are a surface,
+        which takes half of the light. There, depths are where half is left; elsewhere they are the
+        objects', inf where there is none.
+
+        below: the objects' RGB and depths or, with a context, the framebuffer that they are in;
+        None: there are none. beside: maps to draw, too, which beside() made."""
 
 
 class CpuRenderer(_core.CpuRenderer):
@@ -68,6 +72,8 @@ class CpuRenderer(_core.CpuRenderer):
 
     Threads that draw wait for one another. Whatever else is called needs the renderer alone.
     """
+
+    context = None
 
     def __init__(
         self,
@@ -111,18 +117,22 @@ class CpuRenderer(_core.CpuRenderer):
         """Another map, as of Renderer."""
         return CpuRenderer()
 
-    def picture(
+    def over(
         self,
         camera: Camera,
+        below: tuple[NDArray[np.uint8], NDArray[np.float32]] | None = None,
         *,
-        scene_depth: NDArray[np.float32] | None = None,
         beside: Sequence[CpuRenderer] = (),
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """As of Renderer. Depths are where half of the light is left."""
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]:
+        """As of Renderer."""
         drawn = self.draw(
-            posed(camera), beside=list(beside), median_depth=True, scene_depth=scene_depth
+            posed(camera), beside=list(beside), median_depth=True,
+            scene_depth=below[1] if below else None,
+        )  # fmt: skip
+        colour, depth, surface = over_opaque(
+            drawn["colour"], drawn["depth"][..., 0], *(below or ())
         )
-        return drawn["colour"], drawn["depth"][..., 0]
+        return colour, depth, surface
 
     def snapshot(self) -> tuple[NDArray[np.uint32], Splats]:
         """The slots in use, (n,), and their splats as they are drawn, in the map's frame."""

@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
-from rosplat_core.rendering import RenderSettings, insert_all, pose
+from rosplat_core.rendering import RenderSettings, insert_all, posed
 from rosplat_core.splats import Splats, check_splats
 from rosplat_ros.program.processes import end_with_parent
 from rviz_gaussian_plugin import _offscreen  # type: ignore[attr-defined]
@@ -35,66 +34,41 @@ class Renderer(_offscreen.Renderer):  # type: ignore[misc]
         super().__init__(str(_media_folder()), OGRE_PLUGINS)
 
 
-class CardRenderer:
-    """Holds a map and draws it on the graphics card, for a SplatCamera as for one's own pictures.
+class CardRenderer(_offscreen.CardRenderer):  # type: ignore[misc]
+    """Holds a map and draws it on the graphics card, over bodies that a SplatCamera draws there.
 
-    One in a process, in any thread: threads that draw wait for one another. Where there is no card,
-    the processor draws. Needs an X display (`ensure_display`), else raises RuntimeError.
+    One in a process, in any thread: threads that draw wait for one another. Needs EGL with OpenGL
+    4.4, and no display; else raises RuntimeError.
     """
+
+    settings: RenderSettings
+    """How pictures are drawn."""
+    device: str
+    """What draws, by OpenGL's name."""
+    context: Any
+    """Of OpenGL, current within `with`: what is drawn there need not be read."""
 
     def __init__(self, splats: Splats) -> None:
         check_splats(splats)
-        # Else NVIDIA's GLX keeps its EGL, by which MuJoCo draws bodies, out of this process.
-        os.environ.setdefault("__GLVND_DISALLOW_PATCHING", "1")
-        self._thread = ThreadPoolExecutor(1, "card")  # OpenGL is one thread's
-        self._renderer: Renderer = self._thread.submit(Renderer).result()
-        self.settings: RenderSettings = self._renderer.settings
-        self.settings.depths = True
-        """How pictures are drawn."""
-        self.device: str = self._renderer.renderer_info
-        """What draws, by OpenGL's name."""
+        super().__init__(str(_media_folder()))
         self._beside: list[Any] = []
-        self._drawn = 0
-        insert_all(self._renderer, splats)
+        insert_all(self.add_map(), splats)
 
     def beside(self) -> Any:
         """Another map, empty, which is in all pictures from now on."""
-        self._beside.append(self._thread.submit(self._renderer.add_map).result())
+        self._beside.append(self.add_map())
         return self._beside[-1]
 
-    def picture(
-        self,
-        camera: Camera,
-        *,
-        scene_depth: NDArray[np.float32] | None = None,
-        beside: Sequence[Any] = (),
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Premultiplied RGBA (height, width, 4), and the mean depths of splats (height, width)
-        along the camera's z [m], NaN where there is none.
-
-        scene_depth: (height, width) depths of opaque objects [m], inf where there is none, which
-        hide the splats behind them. beside: all maps that beside() made.
-        """
+    def over(
+        self, camera: Camera, below: int | None = None, *, beside: Sequence[Any] = ()
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.bool_]]:
+        """As of Renderer. below: a framebuffer of the context, whose first row is the bottom, and
+        whose window depths are 1 where the camera's `near` is and 0 at its `far`. beside: all maps
+        that beside() made."""
         if list(beside) != self._beside:
             raise ValueError("a CardRenderer draws all of its maps: one SplatCamera has `riding`")
-        return self._thread.submit(self._draw, camera, scene_depth).result()
-
-    def _draw(
-        self, camera: Camera, scene_depth: NDArray[np.float32] | None
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        self._drawn += 1
-        self._renderer.set_camera("picture", self._drawn, *pose(camera))
-        self._renderer.upload(all=True)
-        self._renderer.draw("picture", sort_now=True, scene_depth=scene_depth)
-        return self._renderer.read_color(), self._renderer.read_depth()
-
-    def close(self) -> None:
-        """Frees what OpenGL holds. There are no pictures afterwards."""
-        self._thread.submit(self._free).result()
-        self._thread.shutdown()
-
-    def _free(self) -> None:
-        del self._renderer, self._beside, self.settings
+        colour, depth, surface = self.draw(posed(camera), below or 0)
+        return colour, depth, surface
 
 
 def _media_folder() -> Path:

@@ -123,6 +123,25 @@ void fitDepthBuffer(SplatCamera& camera, const Array<float>& z) {
       depthBuffer(camera.orthographic, near_clip, far_clip);
 }
 
+// Window depths, in a camera's depth buffer, of opaque objects at depths z (height, width) [m], inf
+// where there is none; rounded as the kernels round those of splats.
+std::vector<float> windowDepths(const SplatCamera& camera, const Array<float>& z) {
+  if (z.ndim() != 2 || z.shape(0) != camera.height || z.shape(1) != camera.width) {
+    throw std::invalid_argument("scene_depth: expected float32 (height, width) of the camera");
+  }
+  const float scale = float(camera.ndc_scale), offset = float(camera.ndc_offset);
+  std::vector<float> depths(std::size_t(z.size()));
+  std::transform(z.data(), z.data() + z.size(), depths.begin(), [&](float depth) {
+    if (!(camera.orthographic ? depth == depth : depth > 0)) {
+      throw std::invalid_argument("scene_depth: expected depths in front of the camera, or inf");
+    }
+    if (depth == std::numeric_limits<float>::infinity()) return 1.0f;
+    const float ndc = (scale * depth + offset) / (camera.orthographic ? 1.0f : depth);
+    return std::clamp(0.5f * ndc + 0.5f, 0.0f, 1.0f);
+  });
+  return depths;
+}
+
 py::dict drawOnCpu(CpuRenderer& renderer, SplatCamera camera, bool mean_depth, bool median_depth,
                    const std::optional<Array<std::uint32_t>>& order,
                    const std::vector<CpuRenderer*>& beside, const std::optional<Samples>& samples,
@@ -291,7 +310,7 @@ py::dict nodesOf(const CpuRenderer& renderer, int level, std::uint32_t group) {
 }
 
 // A picture of splats, premultiplied RGBA, and their depths, over bytes and depths of what is
-// opaque, or nothing; splats are a surface where they hide half of what is behind.
+// opaque, or nothing; and where splats are a surface: where they hide half of what is behind.
 py::tuple overOpaque(const Array<float>& colour, const Array<float>& depth,
                      const std::optional<Array<std::uint8_t>>& below,
                      const std::optional<Array<float>>& below_depth) {
@@ -306,12 +325,14 @@ py::tuple overOpaque(const Array<float>& colour, const Array<float>& depth,
   }
   Array<std::uint8_t> bytes({height, width, py::ssize_t{3}});
   Array<float> depths({height, width});
+  py::array_t<bool> surfaces({height, width});
   const float* const rgba = colour.data();
   const float* const z = depth.data();
   const std::uint8_t* const behind = below ? below->data() : nullptr;
   const float* const farther = below_depth ? below_depth->data() : nullptr;
   std::uint8_t* const out = bytes.mutable_data();
   float* const out_z = depths.mutable_data();
+  bool* const surface = surfaces.mutable_data();
   using Pixel = float __attribute__((vector_size(4 * sizeof(float))));
   using Integers = int __attribute__((vector_size(4 * sizeof(int))));
   const Pixel none{}, most = none + 255.0f;
@@ -329,9 +350,10 @@ py::tuple overOpaque(const Array<float>& colour, const Array<float>& depth,
     const auto whole = __builtin_convertvector(pixel, Integers);
     for (int c = 0; c < 3; ++c) out[3 * i + c] = std::uint8_t(whole[c]);
     const float beyond = farther ? farther[i] : std::numeric_limits<float>::infinity();
-    out_z[i] = alpha >= 0.5f ? z[i] : beyond;
+    surface[i] = alpha >= 0.5f;
+    out_z[i] = surface[i] ? z[i] : beyond;
   }
-  return py::make_tuple(std::move(bytes), std::move(depths));
+  return py::make_tuple(std::move(bytes), std::move(depths), std::move(surfaces));
 }
 
 }  // namespace
@@ -340,7 +362,8 @@ void defineRendering(py::module_& module) {
   module.def("over_opaque", &overOpaque, "colour"_a, "depth"_a, "below"_a = py::none(),
              "below_depth"_a = py::none(),
              "A picture of splats (height, width, 4), premultiplied, over RGB in bytes of what is\n"
-             "opaque: RGB in bytes, and depths, of splats where they hide half of what is behind.");
+             "opaque: RGB in bytes, and depths, of splats where they hide half of what is behind;\n"
+             "and where they do.");
   py::enum_<DrawMode>(module, "DrawMode")
       .value("COLOR", DrawMode::kColor)
       .value("DEPTH", DrawMode::kDepth)

@@ -1,7 +1,7 @@
 """MuJoCo's own pictures of a model: what bodies look like, how far they are, and which is where.
 
 How it works. The camera is MuJoCo's (lens, resolution, pose), but for its clip distances. One
-pass of MuJoCo's renderer gives colours and window depths; bodies take a second pass, in colours
+pass of MuJoCo's renderer gives colours and window depths; bodies take one before it, in colours
 that are numbers. Window depths are floats and reversed, so that depths are right to float32 at any
 distance. Nothing softens an edge: a pixel is of one surface, that of its centre. So shadows,
 reflections, fog, sky and multisampling are off, and what is translucent is opaque. Sites, and
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -37,10 +37,9 @@ class NoGL(RuntimeError):
 class BodyPicture:
     """What a camera sees of a model; (height, width, ...) each."""
 
-    colour: NDArray[np.uint8]
-    """RGB; black where nothing is."""
-    depth: NDArray[np.float32]
-    """Along the camera's z [m]; inf where nothing is."""
+    seen: tuple[NDArray[np.uint8], NDArray[np.float32]] | int
+    """RGB, black where nothing is, and depths along the camera's z [m], inf where nothing is; or
+    the framebuffer of the given context that they are in, as Renderer.over() takes it."""
     bodies: NDArray[np.uint16] | None
     """Numbers of bodies, 0 where nothing is, and of the world's own; None if not asked for."""
 
@@ -48,8 +47,9 @@ class BodyPicture:
 class BodyPictures:
     """Draws a model without a window, by EGL or OSMesa, in any thread, but in one at a time."""
 
-    def __init__(self, model: Any, width: int, height: int) -> None:
-        """width, height: of the first pictures [px]. Raises NoGL, naming what lacks."""
+    def __init__(self, model: Any, width: int, height: int, context: Any = None) -> None:
+        """width, height: of the first pictures [px]. context: of OpenGL, current within `with`, in
+        which to leave pictures; None: they are read. Raises NoGL, naming what lacks."""
         self._mjr: Any = None
         self._mj, self._model = load_mujoco(), model
         self._size = width, height
@@ -59,23 +59,26 @@ class BodyPictures:
         self._scene = self._mj.MjvScene(model, maxgeom=MOST_GEOMETRIES)
         for flag in ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE"):
             self._scene.flags[getattr(self._mj.mjtRndFlag, f"mjRND_{flag}")] = False
-        self._context = _open(width, height)
+        self._shared, self._own = context, None if context else _open(width, height)
         try:
-            with self._context.as_current(), _plain_quality(model, width, height):
+            with self._current(), _plain_quality(model, width, height):
                 self._mjr = self._mj.MjrContext(model, self._mj.mjtFontScale.mjFONTSCALE_100)
-                self._mj.mjr_setBuffer(self._mj.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
         except Exception as error:  # of MuJoCo, PyOpenGL or the driver
-            self._context.free()
+            self._free()
             raise NoGL(shown(error, 300)) from error
         self._mjr.readDepthMap = self._mj.mjtDepthMap.mjDEPTH_ZEROFAR
 
     def draw(self, data: Any, camera: int, lens: Camera, *, bodies: bool = False) -> BodyPicture:
         """What a camera of the model sees, drawn as by `lens`, which camera_of() made of it."""
-        with self._context.as_current():  # between pictures, other threads may have it
+        with self._current():  # between pictures, other threads may have it
             return self._draw(data, camera, lens, bodies)
+
+    def _current(self) -> Any:
+        return self._own.as_current() if self._own else self._shared
 
     def _draw(self, data: Any, camera: int, lens: Camera, bodies: bool) -> BodyPicture:
         size = lens.width, lens.height
+        self._mj.mjr_setBuffer(self._mj.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
         if size != self._size:
             self._mj.mjr_resizeOffscreen(*size, self._mjr)
             self._size = size
@@ -92,12 +95,14 @@ class BodyPictures:
         for geometry in self._scene.geoms[: self._scene.ngeom]:
             geometry.rgba[3] = 1
         view = self._mj.MjrRect(0, 0, *size)
+        numbers = self._bodies(view) if bodies else None
+        self._mj.mjr_render(view, self._scene, self._mjr)
+        if self._shared:
+            return BodyPicture(int(self._mjr.offFBO), numbers)
         colour = np.empty((lens.height, lens.width, 3), np.uint8)
         window = np.empty((lens.height, lens.width), np.float32)
-        self._mj.mjr_render(view, self._scene, self._mjr)
         self._mj.mjr_readPixels(colour, window, view, self._mjr)
-        numbers = self._bodies(view) if bodies else None
-        return BodyPicture(colour[::-1], _depth(window[::-1], lens), numbers)
+        return BodyPicture((colour[::-1], _depth(window[::-1], lens)), numbers)
 
     def _bodies(self, view: Any) -> NDArray[np.uint16]:
         flags = self._mj.mjtRndFlag
@@ -120,14 +125,19 @@ class BodyPictures:
     def close(self) -> None:
         """Frees what the driver holds."""
         if self._mjr:
-            with self._context.as_current():  # names of objects are another's in another context
+            with self._current():  # names of objects are another's in another context
                 self._mjr.free()
             self._mjr = None
-            self._context.free()
+            self._free()
+
+    def _free(self) -> None:
+        if self._own:
+            self._own.free()
 
     def __del__(self) -> None:
         """Frees it, too."""
-        self.close()
+        with suppress(RuntimeError):  # at the interpreter's end, MuJoCo ends EGL first
+            self.close()
 
 
 def camera_of(
@@ -198,8 +208,6 @@ def _plain_quality(model: Any, width: int, height: int) -> Iterator[None]:
 def _open(width: int, height: int) -> Any:
     """A context of OpenGL without a window: MUJOCO_GL's, or else the first that there is."""
     wanted = os.environ.get("MUJOCO_GL", "").lower()
-    # Else NVIDIA's EGL and its GLX, by which a CardRenderer draws, keep one another out.
-    os.environ.setdefault("__GLVND_DISALLOW_PATCHING", "1")
     reasons = []
     for name in (wanted,) if wanted in ("egl", "osmesa") else ("egl", "osmesa"):
         try:

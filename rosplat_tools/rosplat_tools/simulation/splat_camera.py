@@ -18,15 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.cameras import Camera
 from rosplat_core.quaternions import from_matrices
-from rosplat_core.rendering import CpuRenderer, Renderer, insert_groups, move, over_opaque
+from rosplat_core.rendering import CpuRenderer, Renderer, insert_groups, move
 from rosplat_core.rigid import placed, rigid
 from rosplat_core.splats import Splats
-from rosplat_tools.simulation.body_pictures import BodyPicture, BodyPictures, NoGL, camera_of
+from rosplat_tools.simulation.body_pictures import BodyPictures, NoGL, camera_of
 from rosplat_tools.simulation.physics import load_mujoco
 
 Array = NDArray[np.float64]
-
-SURFACE = 0.5  # least share of the light that a surface of splats takes away, as for over_opaque
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +75,7 @@ class SplatCamera:
         """
         self._mj = load_mujoco()
         self._model, self._data = model, data
-        self.renderer = CpuRenderer(splats) if isinstance(splats, Splats) else splats
+        self.renderer: Renderer = CpuRenderer(splats) if isinstance(splats, Splats) else splats
         self.map_pose = rigid(np.eye(4) if map_pose is None else map_pose, "map_pose")
         self.riders = Riders(model, riding or {}, self.renderer)
         """The splats that ride on bodies."""
@@ -87,7 +85,7 @@ class SplatCamera:
         self._drawing = Lock()
         self._bodies: BodyPictures | None = None
         try:
-            self._bodies = BodyPictures(model, width, height)
+            self._bodies = BodyPictures(model, width, height, self.renderer.context)
         except NoGL as error:
             self.problem = str(error)
 
@@ -107,12 +105,17 @@ class SplatCamera:
         in_map = Camera(**(vars(lens) | {"world_to_camera": lens.world_to_camera @ self.map_pose}))
         with self._drawing:
             solid = self._bodies.draw(data, lens.id, lens, bodies=bodies) if self._bodies else None
-            colour, depth = self.renderer.picture(
+            colour, depth, surface = self.renderer.over(
                 in_map,
-                scene_depth=solid.depth if solid else None,
+                solid.seen if solid else None,
                 beside=self.riders.at(data, self.map_pose),
             )
-        return _together(colour, depth, solid, lens, bodies)
+        numbers = None
+        if bodies:
+            numbers = np.zeros(depth.shape, np.uint16)
+            if solid and solid.bodies is not None:
+                numbers = np.where(surface, numbers, solid.bodies)
+        return SplatPicture(colour, depth, numbers, lens)
 
     def camera(self, camera: int | str, data: Any = None) -> Camera:
         """A camera of the model, by its number or name, as it is now in MuJoCo's world."""
@@ -179,21 +182,3 @@ class Riders:
             number: from_world @ placed(data.xpos[body], data.xmat[body]) @ pose
             for number, (body, pose) in enumerate(self._bodies)
         }
-
-
-def _together(
-    colour: NDArray[np.float32],
-    depth_of_splats: NDArray[np.float32],
-    solid: BodyPicture | None,
-    camera: Camera,
-    bodies: bool,
-) -> SplatPicture:
-    """The picture of splats, premultiplied (height, width, 4), over that of bodies."""
-    below = (solid.colour, solid.depth) if solid else ()
-    rgb, depth = over_opaque(colour, depth_of_splats, *below)
-    numbers = None
-    if bodies:
-        numbers = np.zeros(depth.shape, np.uint16)
-        if solid and solid.bodies is not None:
-            numbers = np.where(colour[..., 3] >= SURFACE, numbers, solid.bodies)
-    return SplatPicture(rgb, depth, numbers, camera)

@@ -2,8 +2,6 @@
 
 #include <OgreCamera.h>
 #include <OgreHardwarePixelBuffer.h>
-#include <OgreHighLevelGpuProgram.h>
-#include <OgreHighLevelGpuProgramManager.h>
 #include <OgreManualObject.h>
 #include <OgreMaterialManager.h>
 #include <OgreRenderTexture.h>
@@ -33,12 +31,6 @@ layout(local_size_x = 16, local_size_y = 16) in;
 layout(binding = 0, rgba8) writeonly uniform image2D picture;
 uniform vec3 background;
 void main() { imageStore(picture, ivec2(gl_GlobalInvocationID.xy), vec4(background, 1.0)); }
-)";
-
-constexpr const char* kOpaque = "opaque";
-constexpr const char* kWriteDepth = R"(#version 120
-uniform sampler2D depths;
-void main() { gl_FragDepth = texture2D(depths, gl_TexCoord[0].st).r; }
 )";
 }  // namespace
 
@@ -74,7 +66,6 @@ OffscreenRenderer::OffscreenRenderer(const std::string& media, const std::string
 OffscreenRenderer::~OffscreenRenderer() {
   for (const auto& cloud : clouds_) cloud->detachFromParent();
   clouds_.clear();  // while their OpenGL context exists
-  opaque_.reset();
   if (texture_) {
     Ogre::TextureManager::getSingleton().remove(texture_);
     texture_.reset();
@@ -133,54 +124,7 @@ void OffscreenRenderer::paintBackground() {
       Ogre::ColourValue(background_[0], background_[1], background_[2]));
 }
 
-void OffscreenRenderer::setOpaque(const std::vector<float>& window_depths) {
-  if (opaque_) opaque_->setVisible(!window_depths.empty());
-  if (window_depths.empty()) return;
-  auto& textures = Ogre::TextureManager::getSingleton();
-  const auto width = Ogre::uint(this->width()), height = Ogre::uint(this->height());
-  auto depths = textures.getByName(kOpaque, kResourceGroup);
-  if (depths && (depths->getWidth() != width || depths->getHeight() != height)) {
-    textures.remove(depths);
-    depths.reset();
-  }
-  if (!depths) {
-    depths = textures.createManual(kOpaque, kResourceGroup, Ogre::TEX_TYPE_2D, width, height, 0,
-                                   Ogre::PF_FLOAT32_R, Ogre::TU_DYNAMIC_WRITE_ONLY);
-    makeOpaque();
-  }
-  depths->getBuffer()->blitFromMemory(Ogre::PixelBox(width, height, 1, Ogre::PF_FLOAT32_R,
-                                                     const_cast<float*>(window_depths.data())));
-}
-
-void OffscreenRenderer::makeOpaque() {
-  auto& materials = Ogre::MaterialManager::getSingleton();
-  auto material = materials.getByName(kOpaque, kResourceGroup);
-  if (!material) {
-    auto program = Ogre::HighLevelGpuProgramManager::getSingleton().createProgram(
-        kOpaque, kResourceGroup, "glsl", Ogre::GPT_FRAGMENT_PROGRAM);
-    program->setSource(kWriteDepth);
-    material = materials.create(kOpaque, kResourceGroup);
-    Ogre::Pass* const pass = material->getTechnique(0)->getPass(0);
-    pass->setFragmentProgram(kOpaque);
-    pass->setColourWriteEnabled(false);
-    pass->setDepthFunction(Ogre::CMPF_ALWAYS_PASS);
-    pass->setCullingMode(Ogre::CULL_NONE);
-    Ogre::TextureUnitState* const unit = pass->createTextureUnitState();
-    unit->setTextureFiltering(Ogre::TFO_NONE);
-    unit->setTextureAddressingMode(Ogre::TextureUnitState::TAM_CLAMP);
-  }
-  material->getTechnique(0)->getPass(0)->getTextureUnitState(0)->setTextureName(kOpaque);
-  if (opaque_) return;
-  opaque_ = std::make_unique<Ogre::Rectangle2D>(true);
-  opaque_->setCorners(-1, 1, 1, -1);
-  opaque_->setBoundingBox(Ogre::AxisAlignedBox::BOX_INFINITE);
-  opaque_->setRenderQueueGroup(Ogre::RENDER_QUEUE_BACKGROUND);
-  opaque_->setMaterial(material);
-  manager_->getRootSceneNode()->attachObject(opaque_.get());
-}
-
-FrameReport OffscreenRenderer::draw(const std::string& view_id, bool sort_now,
-                                    const std::vector<float>& opaque) {
+FrameReport OffscreenRenderer::draw(const std::string& view_id, bool sort_now) {
   const SplatCamera& camera = cameraOf(view_id);
   if (camera.extent_scale != extentScale(settings)) {  // a scale that was set after the camera
     const auto [sequence, same] = cameras_.at(view_id);
@@ -188,7 +132,6 @@ FrameReport OffscreenRenderer::draw(const std::string& view_id, bool sort_now,
   }
   drawn_ = false;
   resize(camera.width, camera.height);
-  setOpaque(opaque);
   view_id_ = view_id;
   for (const auto& cloud : clouds_) {
     cloud->setSortNow(sort_now);
@@ -309,10 +252,9 @@ void OffscreenRenderer::update() {
   for (const auto& cloud : clouds_) cloud->clearError();
   Ogre::RenderTarget* target = texture_->getBuffer()->getRenderTarget();
   // To clear a picture or its depth by drawing takes a compute card as long as a small map.
-  const bool box = manager_->hasManualObject("box"), opaque = opaque_ && opaque_->getVisible();
-  const bool computes = clear_ && !box && !opaque;
+  const bool box = manager_->hasManualObject("box"), computes = clear_ && !box;
   target->getViewport(0)->setClearEveryFrame(
-      !computes, box || opaque ? Ogre::FBT_COLOUR | Ogre::FBT_DEPTH : Ogre::FBT_COLOUR);
+      !computes, box ? Ogre::FBT_COLOUR | Ogre::FBT_DEPTH : Ogre::FBT_COLOUR);
   if (computes) clear();
   root_->_fireFrameStarted();
   target->update();

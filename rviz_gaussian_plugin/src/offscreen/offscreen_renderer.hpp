@@ -1,7 +1,6 @@
 #pragma once
 
 #include <OgreLogManager.h>
-#include <OgreRectangle2D.h>
 #include <OgreRoot.h>
 #include <OgreTexture.h>
 
@@ -37,11 +36,10 @@ class OffscreenRenderer {
 
   void setCamera(const std::string& view_id, std::uint64_t sequence, const SplatCamera& camera);
   const SplatCamera& cameraOf(const std::string& view_id) const;
-  // Draws all maps as a view's camera sees them; sort_now: sorts here, waits for no order. opaque:
-  // window depths of objects, top row first, that hide the splats behind them, or empty. Reports
+  // Draws all maps as a view's camera sees them; sort_now: sorts here, waits for no order. Reports
   // on scene(), but the splats of all maps. Throws std::runtime_error, as do the functions that
   // read a picture if there is none.
-  FrameReport draw(const std::string& view_id, bool sort_now, const std::vector<float>& opaque);
+  FrameReport draw(const std::string& view_id, bool sort_now);
 
   // Puts a white box into the map's frame [m], which hides the splats behind it: opaque, or
   // translucent if opacity is below 1. A size of 0 removes the box.
@@ -66,9 +64,6 @@ class OffscreenRenderer {
   SplatScene& drawn();
   void resize(int width, int height);
   void paintBackground();
-  // Puts depths into the depth buffer before the splats are drawn; empty: none.
-  void setOpaque(const std::vector<float>& window_depths);
-  void makeOpaque();
   // Fills the picture with the background, by a shader.
   void clear() const;
   void update();
@@ -78,7 +73,6 @@ class OffscreenRenderer {
   Ogre::SceneManager* manager_ = nullptr;
   Ogre::Camera* camera_ = nullptr;
   Ogre::TexturePtr texture_;
-  std::unique_ptr<Ogre::Rectangle2D> opaque_;  // covers the picture, and draws depths alone
   std::array<float, 3> background_{};
   std::optional<gl::Program> clear_;                 // unset without a graphics card
   std::vector<std::unique_ptr<SplatCloud>> clouds_;  // one for each map

@@ -6,6 +6,7 @@
 
 #include <algorithm>
 
+#include "card_renderer.hpp"
 #include "offscreen_renderer.hpp"
 #include "rosplat_core/python/bindings.hpp"
 
@@ -68,14 +69,11 @@ std::string readOrder(OffscreenRenderer& renderer, const std::string& view_id,
   return renderer.order_reader.takeRemark();
 }
 
-py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool sort_now,
-              const std::optional<Array<float>>& scene_depth) {
-  std::vector<float> opaque;
-  if (scene_depth) opaque = windowDepths(renderer.cameraOf(view_id), *scene_depth);
+py::dict draw(OffscreenRenderer& renderer, const std::string& view_id, bool sort_now) {
   FrameReport report;
   {
     const py::gil_scoped_release release;  // so that orders needn't wait for the frame
-    report = renderer.draw(view_id, sort_now, opaque);
+    report = renderer.draw(view_id, sort_now);
   }
   const DrawnBytes bytes = renderer.scene().bytes();
   return py::dict("splats"_a = report.splats, "error"_a = report.error,
@@ -101,6 +99,26 @@ py::list readSlots(OffscreenRenderer& renderer, const std::vector<std::uint32_t>
   }
   return splats;
 }
+
+py::tuple drawOnCard(CardRenderer& renderer, const SplatCamera& camera, unsigned bodies) {
+  Array<std::uint8_t> colours({camera.height, camera.width, 3});
+  py::array_t<bool> surfaces({camera.height, camera.width});
+  Array<float> depths({camera.height, camera.width});
+  const CardRenderer::Memory to{colours.mutable_data(),
+                                reinterpret_cast<std::uint8_t*>(surfaces.mutable_data()),
+                                depths.mutable_data()};
+  {
+    const py::gil_scoped_release release;
+    renderer.draw(camera, bodies, to);
+  }
+  return py::make_tuple(std::move(colours), std::move(depths), std::move(surfaces));
+}
+
+// A map of a CardRenderer, which lives as long.
+struct MapOnCard {
+  CardRenderer& renderer;
+  CardRenderer::Map& map;
+};
 
 }  // namespace
 
@@ -135,7 +153,7 @@ PYBIND11_MODULE(_offscreen, module) {
       .def(
           "upload", [](OffscreenRenderer& r, bool all) { r.scene().upload(r.settings, all); },
           "all"_a = false, py::call_guard<py::gil_scoped_release>())
-      .def("draw", &draw, "view_id"_a, "sort_now"_a = false, "scene_depth"_a = py::none())
+      .def("draw", &draw, "view_id"_a, "sort_now"_a = false)
       .def("read_color",
            [](OffscreenRenderer& r) { return toArray(r.readColor(), {r.height(), r.width(), 4}); })
       .def("read_depth",
@@ -161,4 +179,21 @@ PYBIND11_MODULE(_offscreen, module) {
       .def_property_readonly("warning", [](OffscreenRenderer& r) { return r.scene().warning(); })
       .def("failed", &OffscreenRenderer::failed)
       .def_property_readonly("renderer_info", &OffscreenRenderer::graphics);
+
+  py::class_<EglContext, std::shared_ptr<EglContext>>(module, "Context",
+                                                      "An OpenGL context, current within `with`.")
+      .def("__enter__", &EglContext::enter, py::call_guard<py::gil_scoped_release>())
+      .def("__exit__", [](EglContext& context, const py::args&) { context.leave(); });
+  py::class_<MapOnCard> on_card(module, "MapOnCard", "A map of a CardRenderer.");
+  defineApply(on_card, [](MapOnCard& of, const GaussianBatch& batch) {
+    return of.renderer.apply(of.map, batch);
+  });
+  const auto add_map = [](CardRenderer& r) { return MapOnCard{r, r.addMap()}; };
+  py::class_<CardRenderer>(module, "CardRenderer")
+      .def(py::init<const std::string&>(), "media"_a)
+      .def("add_map", add_map, py::keep_alive<0, 1>())
+      .def("draw", &drawOnCard, "camera"_a, "bodies"_a = 0)
+      .def_readwrite("settings", &CardRenderer::settings)
+      .def_property_readonly("context", &CardRenderer::context)
+      .def_property_readonly("device", &CardRenderer::graphics);
 }

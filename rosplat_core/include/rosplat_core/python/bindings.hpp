@@ -54,25 +54,6 @@ inline SplatCamera cameraOf(const std::array<double, 3>& position,
                     near_clip, far_clip);
 }
 
-// Window depths, in a camera's depth buffer, of opaque objects at depths z (height, width) [m], inf
-// where there is none; rounded as the kernels round those of splats.
-inline std::vector<float> windowDepths(const SplatCamera& camera, const Array<float>& z) {
-  if (z.ndim() != 2 || z.shape(0) != camera.height || z.shape(1) != camera.width) {
-    throw std::invalid_argument("scene_depth: expected float32 (height, width) of the camera");
-  }
-  const float scale = float(camera.ndc_scale), offset = float(camera.ndc_offset);
-  std::vector<float> depths(std::size_t(z.size()));
-  std::transform(z.data(), z.data() + z.size(), depths.begin(), [&](float depth) {
-    if (!(camera.orthographic ? depth == depth : depth > 0)) {
-      throw std::invalid_argument("scene_depth: expected depths in front of the camera, or inf");
-    }
-    if (depth == std::numeric_limits<float>::infinity()) return 1.0f;
-    const float ndc = (scale * depth + offset) / (camera.orthographic ? 1.0f : depth);
-    return std::clamp(0.5f * ndc + 0.5f, 0.0f, 1.0f);
-  });
-  return depths;
-}
-
 // Reads a GaussianArray, or anything with its fields, by name. Fields that are missing are as in an
 // empty message. Holds what the batch's arrays refer to.
 class ReadBatch {
