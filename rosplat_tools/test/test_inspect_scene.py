@@ -44,7 +44,9 @@ def test_what_is_left_out_is_told(random_splats: Make, tmp_path: Path) -> None:
     splats = random_splats(10)
     splats.sh[4, 2, 1] = np.nan
     save(tmp_path / "a.ply", splats)
-    assert "dropped 1 of 10" in rows(describe(tmp_path / "a.ply"))["note"]
+    report = rows(describe(tmp_path / "a.ply"))
+    assert "dropped 1 of 10" in report["note"]
+    assert report["model"] == "ewa, as the file tells of no other"
 
 
 def test_channels_are_named(random_splats: Make, tmp_path: Path) -> None:
