@@ -7,7 +7,9 @@ import sys
 import time
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float64MultiArray
 
 from rosplat_ros.program import ros2
@@ -64,3 +66,13 @@ def test_what_there_is_not_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         ros2.main(["--help"])
     assert "come with an installed ROS 2" in capsys.readouterr().out
+
+
+def test_messages_are_lines_of_names_and_values() -> None:
+    values = [KeyValue(key="fx", value="1"), KeyValue(key="fy", value="2")]
+    status = DiagnosticStatus(level=DiagnosticStatus.OK, name="camera", values=values)
+    lines = ros2.text_of(DiagnosticArray(status=[status])).splitlines()
+    assert [line for line in lines if "level" in line or "key" in line] == [
+        "- level: b'\\x00'", "  - key: fx", "  - key: fy",
+    ]  # fmt: skip
+    assert "r: [0.0, 0.0, " in ros2.text_of(CameraInfo())

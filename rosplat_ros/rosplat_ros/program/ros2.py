@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import rclpy
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
@@ -94,7 +95,7 @@ def echo_topic(node: Node, options: argparse.Namespace) -> None:
     heard = []
 
     def show(message: object) -> None:
-        say(f"{_text(message)}\n---")
+        say(f"{text_of(message)}\n---")
         heard.append(message)
 
     package, _, name = types[0].split("/")
@@ -104,18 +105,23 @@ def echo_topic(node: Node, options: argparse.Namespace) -> None:
         rclpy.spin_once(node, timeout_sec=0.1)
 
 
-def _text(value: object, indent: str = "") -> str:
+def text_of(value: object, indent: str = "") -> str:
     """A message as lines of names and values."""
     lines = []
     for name in value.get_fields_and_field_types():  # type: ignore[attr-defined]
         part = getattr(value, name)
         if hasattr(part, "get_fields_and_field_types"):
-            lines.append(f"{indent}{name}:\n{_text(part, indent + '  ')}")
-        elif not isinstance(part, str) and hasattr(part, "__len__") and len(part) > 16:
+            lines.append(f"{indent}{name}:\n{text_of(part, indent + '  ')}")
+        elif isinstance(part, (str, bytes)) or not hasattr(part, "__len__"):
+            lines.append(f"{indent}{name}: {part}")
+        elif len(part) > 16:
             lines.append(f"{indent}{name}: <{len(part):,} elements>")
-        else:
-            shown = list(part) if not isinstance(part, str) and hasattr(part, "__len__") else part
-            lines.append(f"{indent}{name}: {shown}")
+        elif len(part) and hasattr(part[0], "get_fields_and_field_types"):
+            inner = indent + "  "
+            items = (f"{indent}- {text_of(each, inner).removeprefix(inner)}" for each in part)
+            lines.append("\n".join([f"{indent}{name}:", *items]))
+        else:  # NumPy's numbers among them
+            lines.append(f"{indent}{name}: {np.asarray(part).tolist()}")
     return "\n".join(lines)
 
 
