@@ -119,8 +119,9 @@ class BodyPictures:
         for geometry in drawn:
             if geometry.objtype == self._mj.mjtObj.mjOBJ_GEOM and geometry.segid >= 0:
                 of_code[geometry.segid + 1] = self._model.geom_bodyid[geometry.objid]
-        codes = (coded[::-1] @ np.array([1, 1 << 8, 1 << 16])).astype(np.intp)
-        return np.asarray(of_code[codes])
+        codes = np.zeros((view.height, view.width, 4), np.uint8)
+        codes[..., :3] = coded[::-1]
+        return np.asarray(of_code[codes.view("<u4")[..., 0]])
 
     def close(self) -> None:
         """Frees what the driver holds."""
