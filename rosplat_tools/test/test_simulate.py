@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from point_cloud import points_of
 from rclpy.node import Node
@@ -172,6 +172,21 @@ def test_a_reset_puts_the_robot_into_the_map_as_it_is_now(
     stage.listener.wait(lambda: sum("mobile stands at" in line for line in log.lines) == 2)
     stage.next("camera/image_raw")
     assert not log.has("Exception")
+
+
+def test_velocities_may_have_stamps(
+    stage: Stage, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    start("simulate", OWN_CLOCK, **START, enable_stamped_cmd_vel=True)
+    velocity = stage.node.create_publisher(TwistStamped, "cmd_vel", 10)
+    twist = TwistStamped()
+    twist.twist.linear.x = 0.3
+
+    def drives() -> bool:
+        velocity.publish(twist)
+        return bool(stage.next("odom").twist.twist.linear.x > 0.2)
+
+    stage.listener.wait(drives)
 
 
 def test_actuators_have_topics(stage: Stage, start: Callable[..., subprocess.Popen[str]]) -> None:

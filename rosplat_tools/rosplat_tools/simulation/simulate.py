@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from ament_index_python.packages import get_package_share_directory
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
@@ -101,6 +101,10 @@ class Simulate(Node):
         odom: str = declare(
             self, "odom_frame", "odom", "Frame of the robot's world: its origin is at the start."
         )
+        self._velocities: type = TwistStamped if declare(
+            self, "enable_stamped_cmd_vel", False,
+            "Whether cmd_vel is a TwistStamped, as by this parameter of Nav2.",
+        ) else Twist  # fmt: skip
         rate = declare(self, "rate", 10.0, "Pictures of a camera in a second. [Hz]", 0.1, 100.0)
         self._picture_ticks = ticks_of(rate, TICK)
         self._lidar, self._lidar_rate = declare_lidar(self, "lidar.")
@@ -122,7 +126,9 @@ class Simulate(Node):
             FirstView, f"{self._map.topic}/first_view", self._on_first_view,
             **overridable(LATCHED),
         )  # fmt: skip
-        self.create_subscription(Twist, "cmd_vel", self._on_velocity, **overridable(COMMANDS))
+        self.create_subscription(
+            self._velocities, "cmd_vel", self._on_velocity, **overridable(COMMANDS)
+        )
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
@@ -261,10 +267,10 @@ class Simulate(Node):
         except ValueError as error:
             self.get_logger().warning(f"left out: {error}", throttle_duration_sec=5.0)
 
-    def _on_velocity(self, twist: Twist) -> None:
+    def _on_velocity(self, message: Twist | TwistStamped) -> None:
         with self._lock:
             if self._scene:
-                self._follow(twist)
+                self._follow(getattr(message, "twist", message))
                 self._velocity_until = self._scene.robot.time + STALE
 
     def _follow(self, twist: Twist) -> None:
