@@ -29,6 +29,7 @@ Numbers = NDArray[np.int32]  # of splats, where many are held
 
 NEIGHBOURS = 4  # that a splat may be merged with; 16 gain 0.3 dB
 MOST = 0.25  # share of the splats that go before neighbours are looked for again
+NOTHING = 1e-6  # what costs so little of the dearest is left out: merged, one of two would stay
 INEXACT = 0.1  # share of the cost of leaving one of a pair out that is added to a merge's cost
 CHUNK = 1 << 15  # pairs, or splats, whose arrays stay in the cache
 BLOCK = 1 << 13  # pairs that are merged at a time
@@ -218,11 +219,12 @@ def _candidates(
     field = _Field.of(splats, contributions, pixel)
     progress(0.6)
     dear = np.partition(field.errors, 2 * most - 1)[2 * most - 1]
+    free = field.errors <= NOTHING * dear
 
     def cheap(part: slice) -> tuple[Numbers, Numbers, Array]:
         low, high = _pairs_of(nearest, part)
         costs = field.cost(low, high)
-        kept = costs <= dear
+        kept = (costs <= dear) & ~(free[low] | free[high])
         return low[kept], high[kept], costs[kept]
 
     found = in_chunks(len(splats), cheap)

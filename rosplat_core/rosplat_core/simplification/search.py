@@ -51,7 +51,6 @@ FRESH_SEED, REFIT_SEED = 1000, 2  # of these views, and of those that maps are r
 FREE = 15.0  # so far above a bound is what is left out without a thought of merging [dB]
 UNNOTICED = 60.0  # what is left out is less than 8 bits of a screen round away, 58.9 [dB]
 COMPARED = 12  # views that tell whether leaving out or merging makes the smaller error
-UNSEEN = 0.03  # transmittance at which each splat counts as seen beside what views see of it
 CONTRAST = 0.09  # mean square difference that an unseen splat is taken to have from its background
 LEAST = 1e-30  # lower bound of errors in logarithms
 CLOSE = 0.03  # the search for the smallest map ends within this share of what may be merged
@@ -96,7 +95,7 @@ class Learnt:
     def add(self, trial: Trial, views: int, progress: Callable[[float], None]) -> None:
         """Adds so many new views; trial: the whole map."""
         self.drawn += views
-        self._add(trial, self._places.cameras(self.drawn, LEARNT_SEED)[-views:], 1.0, progress)
+        self._add(trial, self._places.to_learn(self.drawn, LEARNT_SEED)[-views:], 1.0, progress)
 
     def add_again(
         self, trial: Trial, cameras: Sequence[Camera], progress: Callable[[float], None]
@@ -129,10 +128,9 @@ class Learnt:
         splats, sums = self._splats[part], self._sums[part]
         pixels = self._places.pixels[part] * math.sqrt(WIDTH * HEIGHT / PIXELS)
         unhidden = np.minimum(2 * math.pi * splats.opacities * areas(splats) / pixels**2, PIXELS)
-        weight = (self.views * UNSEEN * unhidden).astype(np.float32)
-        if self._places.complete:  # more for splats seen now and then would displace others
-            weight *= sums.weight == 0
-        energy = weight * UNSEEN * splats.opacities / 2  # a Gaussian's squares: half its integral
+        unseen = self._places.unseen
+        weight = (self.views * unseen * unhidden).astype(np.float32)
+        energy = weight * unseen * splats.opacities / 2  # a Gaussian's squares: half its integral
         return Contributions(
             sums.weight + weight, sums.energy + energy, sums.error + CONTRAST * energy
         )

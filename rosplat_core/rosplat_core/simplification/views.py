@@ -38,6 +38,7 @@ CHECKED_SEED = 1
 LEAST_BETWEEN = 10  # cameras of a path from one that is held back to the next
 MARGIN = 0.25  # of neighbours from the path, as a share of the way to the nearest splats
 TURN = 10  # by which neighbours are turned at most [deg]
+WIDE = 60  # to which pictures to learn from reach from their middle, unless they are wider [deg]
 TURNED = 0.25  # share of the neighbours that look anywhere around
 GOLDEN = (math.sqrt(5) - 1) / 2
 
@@ -67,8 +68,8 @@ class Views(Protocol):
     """Most distance of views from a path; None without a path. [m]"""
     path: list[Camera]
     """The path's own cameras; empty without a path."""
-    complete: bool
-    """Whether a splat that shows in none of many such views need not show in any."""
+    unseen: float
+    """Transmittance at which each splat counts as seen beside what such views see of it."""
     checked: list[Camera]
     """The views that a search begins to check maps by."""
     pixels: NDArray[np.floating[Any]]
@@ -76,6 +77,9 @@ class Views(Protocol):
 
     def cameras(self, count: int, seed: int) -> list[Camera]:
         """The first count views of a seed; another seed gives other views."""
+
+    def to_learn(self, count: int, seed: int) -> list[Camera]:
+        """Views that see all that the views of this seed see, and what is just beside it."""
 
 
 class Around:
@@ -87,7 +91,7 @@ class Around:
     """
 
     margin: float | None = None
-    complete: bool = False
+    unseen: float = 0.03
 
     def __init__(self, splats: Splats) -> None:
         """Raises InputError, as whereabouts."""
@@ -118,6 +122,10 @@ class Around:
                 )
             )  # fmt: skip
         return cameras
+
+    def to_learn(self, count: int, seed: int) -> list[Camera]:
+        """The views themselves: any direction is as likely as another."""
+        return self.cameras(count, seed)
 
     def _inside(self, random: np.random.Generator) -> tuple[Point, Point]:
         view = self._within[random.integers(len(self._within))]
@@ -161,7 +169,7 @@ class Around:
 class Along:
     """Cameras along a path, and neighbours of them: beside the path, and turned."""
 
-    complete: bool = True
+    unseen: float = 3e-5  # tells which goes first of what no view sees, and no more
 
     def __init__(self, splats: Splats, path: Sequence[Camera], margin: float | None = None) -> None:
         """margin: most distance of neighbours from the path [m], by default MARGIN of the median
@@ -203,6 +211,24 @@ class Along:
             moved[:3, 3] = -moved[:3, :3] @ (camera.position + aside)
             cameras.append(replace(camera, world_to_camera=moved))
         return cameras
+
+    def to_learn(self, count: int, seed: int) -> list[Camera]:
+        """These see TURN more on each side: what few turns bring in is in all of their pictures."""
+        return [_wider(camera, TURN) for camera in self.cameras(count, seed)]
+
+
+def _wider(camera: Camera, by: float) -> Camera:
+    """The camera with a picture that reaches so much farther on each side, WIDE at most. [deg]"""
+    if camera.orthographic or camera.model:  # of a panorama
+        return camera
+    reach = np.array([camera.cx, camera.cy, camera.width - camera.cx, camera.height - camera.cy])
+    focal = np.array([camera.fx, camera.fy] * 2)
+    angles = np.arctan(reach / focal)
+    angles = np.maximum(angles, np.minimum(angles + math.radians(by), math.radians(WIDE)))
+    left, top, right, bottom = focal * np.tan(angles)
+    return replace(
+        camera, width=math.ceil(left + right), height=math.ceil(top + bottom), cx=left, cy=top
+    )
 
 
 def _clearances(
