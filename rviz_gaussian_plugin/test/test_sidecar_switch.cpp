@@ -11,6 +11,7 @@
 #include <thread>
 
 #include "../src/display/sidecar_switch.hpp"
+#include "rosplat_ros/ros_versions.hpp"
 
 namespace rosplat {
 
@@ -64,7 +65,7 @@ class SidecarSwitchTest : public testing::Test {
   bool becomes(const std::function<bool()>& so, bool hears = true) {
     const auto deadline = std::chrono::steady_clock::now() + 120s;
     while (!so() && std::chrono::steady_clock::now() < deadline) {
-      switch_.askSorters();
+      if (!switch_.askSorters().empty()) collectEntities(*group_);
       if (hears) executor_.spin_some();
       std::this_thread::sleep_for(10ms);
     }

@@ -10,7 +10,6 @@
 #include "rosplat_core/map/printable.hpp"
 #include "rosplat_core/threads/clock.hpp"
 #include "rosplat_ros/batches.hpp"
-#include "rosplat_ros/ros_versions.hpp"
 
 namespace rosplat {
 
@@ -163,7 +162,10 @@ void GaussianClient::watch() {
   if (!node_->get_node_base_interface()->get_context()->is_valid()) return;  // ROS has ended
   watched_ = now();
   try {
-    sidecar_->askSorters();
+    if (auto gone = sidecar_->askSorters(); !gone.empty()) {
+      const Pause pause(*this);
+      gone.clear();
+    }
     watchPublishers();
   } catch (const std::exception& error) {
     if (!node_->get_node_base_interface()->get_context()->is_valid()) return;  // ROS has ended
@@ -193,7 +195,10 @@ void GaussianClient::publishPose(const rosplat_msgs::msg::ViewCamera& view) {
 }
 
 void GaussianClient::setServing(bool serving) {
-  if (!serving) return render_service_.reset();
+  if (!serving) {
+    const Pause pause(*this);
+    return render_service_.reset();
+  }
   render_service_ = node_->create_service<RenderView>(
       remapped_ + "/render",
       [this](std::shared_ptr<rclcpp::Service<RenderView>> service,

@@ -18,6 +18,7 @@
 #include "fair_queue.hpp"
 #include "rosplat_core/order/order_slots.hpp"
 #include "rosplat_ros/map_receiver.hpp"
+#include "rosplat_ros/ros_versions.hpp"
 #include "sidecar_switch.hpp"
 #include "splat_scene.hpp"
 
@@ -84,11 +85,16 @@ class GaussianClient {
   using SplatOrder = rosplat_msgs::msg::SplatOrder;
   static constexpr std::size_t kMostRequests = 64;  // waiting requests for pictures
 
-  // Stops the executor within its scope: while messages arrive, rclcpp's executor (Jazzy) may miss
-  // a subscription that another thread makes, and never wait for it.
+  // Stops the executor within its scope. What it waits for, its thread holds, too: let go
+  // meanwhile, it would end in that thread, while the owner makes or ends others of the node, for
+  // which rcl has no lock. And while messages arrive, rclcpp's executor (Jazzy) may miss a
+  // subscription that another thread makes, and never wait for it.
   struct Pause {
     explicit Pause(GaussianClient& client) : of(client) { of.stop(); }
-    ~Pause() { of.start(); }
+    ~Pause() {
+      collectEntities(*of.group_);
+      of.start();
+    }
     Pause(const Pause&) = delete;
     Pause& operator=(const Pause&) = delete;
 

@@ -29,30 +29,27 @@ SidecarSwitch::Report SidecarSwitch::report() const {
   return report_;
 }
 
-void SidecarSwitch::askSorters() {
+SidecarSwitch::Clients SidecarSwitch::askSorters() {
   const std::lock_guard lock(mutex_);
-  if (backend_.empty()) return;
+  if (backend_.empty()) return {};
   const auto sorters = node_->get_publishers_info_by_topic(order_topic_);
-  // The thread that hears answers may be the last to hold a client, and destroy it. Nothing may be
-  // created meanwhile, so a new sorter is asked the next time.
-  const bool gone = forgetGone(sorters);
-  for (auto sorter = sorters.begin(); !gone && sorter != sorters.end(); ++sorter)
-    askSorter(*sorter);
+  Clients gone = forgetGone(sorters);
+  for (const auto& sorter : sorters) askSorter(sorter);
   updateReport();
+  return gone;
 }
 
-// Forgets sorters that are gone. Returns whether there were any.
-bool SidecarSwitch::forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sorters) {
-  const std::size_t before = sidecars_.size();
+SidecarSwitch::Clients SidecarSwitch::forgetGone(
+    const std::vector<rclcpp::TopicEndpointInfo>& sorters) {
+  Clients gone;
   for (auto sidecar = sidecars_.begin(); sidecar != sidecars_.end();) {
     const bool here = std::any_of(sorters.begin(), sorters.end(), [&](const auto& sorter) {
       return sorter.endpoint_gid() == sidecar->first && nodeOf(sorter) == sidecar->second.name;
     });
+    if (!here && sidecar->second.parameters) gone.push_back(std::move(sidecar->second.parameters));
     sidecar = here ? std::next(sidecar) : sidecars_.erase(sidecar);
   }
-  if (sidecars_.size() == before) return false;
-  collectEntities(*group_);
-  return true;
+  return gone;
 }
 
 void SidecarSwitch::askSorter(const rclcpp::TopicEndpointInfo& sorter) {

@@ -30,8 +30,10 @@ class SidecarSwitch {
   void ask(const std::string& backend);
   Report report() const;
   // Asks sorters that weren't asked yet or didn't answer within 3 s. Call it now and then, from the
-  // thread that makes the node's clients.
-  void askSorters();
+  // thread that makes the node's clients. Returns the clients of sorters that are gone: let them go
+  // while nobody spins the group, then collectEntities() of it.
+  using Clients = std::vector<std::shared_ptr<rclcpp::AsyncParametersClient>>;
+  Clients askSorters();
 
  private:
   using Gid = std::array<std::uint8_t, RMW_GID_STORAGE_SIZE>;  // of a publisher
@@ -45,7 +47,7 @@ class SidecarSwitch {
   };
 
   // To be called with mutex_ locked.
-  bool forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sorters);
+  Clients forgetGone(const std::vector<rclcpp::TopicEndpointInfo>& sorters);
   void askSorter(const rclcpp::TopicEndpointInfo& sorter);
   void updateReport();
 
