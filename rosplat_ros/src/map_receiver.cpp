@@ -157,7 +157,6 @@ class MapReceiver::Listener {
   }
 
   void receive(std::shared_ptr<const Message> message) {
-    watchForRivals(message->map_id);
     pull_.held = options_.busy();
     // A REPLACE is taken in any case: it drops all that waits.
     if (pull_.held && served() && message->operation != Message::REPLACE) {
@@ -195,6 +194,7 @@ class MapReceiver::Listener {
   bool passOn(const Message& message, Arrival arrival) {
     try {
       on_batch_(message, arrival);
+      watchForRivals(message.map_id);
       const std::lock_guard lock(mutex_);
       ++report_.batches;
       report_.refusal.clear();
