@@ -17,7 +17,7 @@ from point_cloud import points_of
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, Imu, JointState, LaserScan, PointCloud2
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from rosplat_core.formats import save
@@ -89,7 +89,7 @@ def test_a_robot_drives_sees_and_measures(
     stage.hear(
         camera__image_raw=Image, camera__depth__image_raw=Image, camera__segmentation=Image,
         chase__segmentation=Image, camera__camera_info=CameraInfo, points=PointCloud2,
-        scan=LaserScan, joint_states=JointState, imu=Imu,
+        scan=LaserScan, joint_states=JointState, imu=Imu, sensors__orientation=Float64MultiArray,
     )  # fmt: skip
     start("simulate", OWN_CLOCK, **START)
     first = stage.next("odom")
@@ -137,6 +137,8 @@ def test_a_robot_drives_sees_and_measures(
     assert np.isfinite(points["x"]).all()
     joints = stage.next("joint_states")
     assert joints.name == ["left_wheel", "right_wheel"]
+    turn = stage.next("sensors/orientation").data  # w first, as MuJoCo has it
+    assert np.linalg.norm(turn) == pytest.approx(1) and abs(turn[0]) > 0.9
     assert stage.next("imu").linear_acceleration.z == pytest.approx(9.81, abs=1)
 
 
@@ -283,12 +285,14 @@ FOREIGN = """
   <site name="scan" pos="0 1 0"/>
   <body name="trunk" pos="0 0 1"><freejoint/><geom size="0.1"/>
     <site name="trunk" pos="0 0 0.1" euler="0 0 90"/><site name="map"/>
+    <site name="all" size="0.5"/>
     <camera name="y-axis" pos="0 -2 0" xyaxes="1 0 0 0 0 1" mode="trackcom"/><camera/>
     <body name="scan"><joint name="tilt"/><geom size="0.05"/></body>
   </body></worldbody>
   <actuator><motor joint="tilt"/><motor name="hip/tilt" joint="tilt"/></actuator>
   <sensor><rangefinder site="trunk"/><gyro site="map"/><gyro site="trunk"/>
-    <accelerometer name="a" site="trunk"/></sensor></mujoco>"""
+    <accelerometer name="a" site="trunk"/><touch name="on-the-ground" site="all"/></sensor>
+</mujoco>"""
 
 
 def test_a_foreign_robot_has_all_that_its_file_has(node: Node, tmp_path: Path) -> None:
@@ -307,13 +311,17 @@ def test_a_foreign_robot_has_all_that_its_file_has(node: Node, tmp_path: Path) -
     site, rotation, turn, _ = robot.imu() or pytest.fail("no IMU")
     assert (site, len(turn)) == ("trunk", 3)
     np.testing.assert_allclose(rotation, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-6)
+    assert list(robot.sensors) == ["sensor_0", "sensor_1", "sensor_2", "a", "on_the_ground"]
+    assert robot.measured(robot.sensors["on_the_ground"]) == 0
+    robot.step(3.0)
+    assert robot.measured(robot.sensors["on_the_ground"]) > 0  # it has fallen on it
 
     states = States(node, "odom")
     states.stand(robot, "map", np.eye(4))
     moving = {each.child_frame_id: each for each in states.transforms(Time(sec=1))}
     fixed = {each.child_frame_id: each for each in states.fixed(robot)}
     assert set(moving) == {"trunk", "scan", "y_axis_optical"}  # that one turns with no body
-    assert set(fixed) == {"camera_1_optical", "trunk_site", "map_site", "scan_site"}
+    assert set(fixed) == {"camera_1_optical", "trunk_site", "map_site", "scan_site", "all"}
     assert fixed["trunk_site"].header.frame_id == "trunk"
     assert fixed["scan_site"].header.frame_id == "odom"
 

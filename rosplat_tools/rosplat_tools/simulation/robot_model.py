@@ -73,6 +73,8 @@ class RobotModel:
         """Numbers of cameras, likewise."""
         self.sites = self._named("site", self.model.nsite)
         """Numbers of sites, likewise."""
+        self.sensors = self._named("sensor", self.model.nsensor)
+        """Numbers of sensors, likewise."""
         self._asked = 0.0
         self.reset()
 
@@ -182,6 +184,11 @@ class RobotModel:
             np.empty(count, np.int32), found, None, count, 1e9,
         )  # fmt: skip
         return np.where(found < 0, np.inf, found)
+
+    def measured(self, sensor: int) -> Array:
+        """What a sensor measures, by its number, in MuJoCo's units."""
+        first = self.model.sensor_adr[sensor]
+        return np.array(self.data.sensordata[first : first + self.model.sensor_dim[sensor]])
 
     def imu(self) -> tuple[str, Array, Array, Array] | None:
         """The first site at which the model has a gyroscope and an accelerometer; the site's

@@ -1,10 +1,10 @@
 """Simulates a robot in a map: MuJoCo moves it, the map is what its sensors see and it runs into.
 
 Hears `gaussians`, and publishes objects that it moves as the map `objects`. Publishes /clock, /tf,
-odom, joint_states and imu; for each CAMERA of the model CAMERA/image_raw, CAMERA/depth/image_raw,
-CAMERA/segmentation and their camera_info; for a site named lidar, points and scan. Hears cmd_vel,
-and actuators/NAME for each actuator. Pictures and scans are made while somebody hears them, and
-time waits for them. Services: ~/reset, ~/pause and ~/step.
+odom, joint_states, imu and sensors/NAME; for each CAMERA of the model CAMERA/image_raw,
+CAMERA/depth/image_raw, CAMERA/segmentation and their camera_info; for a site named lidar, points
+and scan. Hears cmd_vel, and actuators/NAME for each actuator. Pictures and scans are made while
+somebody hears them, and time waits for them. Services: ~/reset, ~/pause and ~/step.
 """
 
 from __future__ import annotations

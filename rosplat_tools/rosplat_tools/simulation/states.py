@@ -1,4 +1,4 @@
-"""What a robot in a simulation says of itself: TF, markers, odometry, joints, an IMU."""
+"""What a robot in a simulation says of itself: TF, markers, odometry, joints, sensors."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from geometry_msgs.msg import TransformStamped, Twist
 from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, JointState
-from std_msgs.msg import Header
+from std_msgs.msg import Float64MultiArray, Header
 
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.rigid import placed
@@ -40,11 +41,12 @@ class States:
 
     def __init__(self, node: Node, odom: str) -> None:
         """odom: frame of the robot's world."""
-        self._odom = odom
+        self._node, self._odom = node, odom
         self._robot: RobotModel | None = None
         self._joints = node.create_publisher(JointState, "joint_states", **overridable(SENSOR))
         self._odometry = node.create_publisher(Odometry, "odom", **overridable(SENSOR))
         self._imu = node.create_publisher(Imu, "imu", **overridable(SENSOR))
+        self._sensors: dict[int, Publisher] = {}
         self._tf = self._tf_static = self._shapes = None
         self._viewers = 0  # of the markers
         self._since = 0  # states since there was a new one, or time began anew
@@ -64,6 +66,10 @@ class States:
         self._robot = robot
         self._bodies = robot.bodies()
         self._name_frames(robot, map_frame)
+        for name, number in robot.sensors.items() if not self._sensors else ():
+            self._sensors[number] = self._node.create_publisher(
+                Float64MultiArray, f"sensors/{name}", **overridable(SENSOR)
+            )
         if self._tf_static:
             header = Header(frame_id=map_frame)
             stands = transform(header, self._odom, to_pose(np.linalg.inv(map_pose)))
@@ -123,6 +129,9 @@ class States:
             self._tf.publish(TFMessage(transforms=self.transforms(stamp)))
         if robot.travels:
             self._odometry.publish(self._odometry_message(robot, stamp))
+        for number, publisher in self._sensors.items():
+            if publisher.get_subscription_count():
+                publisher.publish(Float64MultiArray(data=robot.measured(number).tolist()))
         if (imu := self._imu_message(robot, stamp)) is not None:
             self._imu.publish(imu)
 
