@@ -83,8 +83,7 @@ class MapSubscriber:
             self._applied = time.monotonic()
             if batch.operation == GaussianArray.REPLACE:
                 self._announced, self._began = False, self._applied
-            # Splats that are deleted later, or that a late pull lacks, aren't missing.
-            self._announced |= arrival == Arrival.LAST or self.books.complete
+            self._announced |= self.books.complete  # what is deleted later isn't missing
             self.applied(batch)
             if dropped:
                 self._dropped += dropped

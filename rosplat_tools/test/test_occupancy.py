@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -25,6 +26,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from rosplat_core.generated.rooms import DOOR_ASIDE, DOOR_WIDTH, ROOMS, SIZE, WALL
+from rosplat_core.maps import Arrival
 from rosplat_core.occupancy import OccupancyMap, grid_of
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
@@ -345,6 +347,18 @@ def test_a_map_says_how_many_batches_it_lacks(missed: int, told: str) -> None:
     held: Any = SimpleNamespace(books=books, topic="gaussians", edits=1, _announced=True)
     problem = map_subscriber.MapSubscriber.problem(held)
     assert problem == f"gaussians: the map isn't complete: 1 splat, {told}"
+
+
+def test_the_end_of_a_pull_is_no_end_of_a_map_that_still_comes() -> None:
+    books = SimpleNamespace(missed=0, pulled=False, splats=1, complete=False)
+    held: Any = SimpleNamespace(
+        books=books, topic="gaussians", edits=0, applied=lambda batch: None,
+        _target=SimpleNamespace(apply=lambda batch, arrival: {"dropped": 0}), _announced=False,
+        _waiting=deque([(GaussianArray(operation=GaussianArray.REPLACE), Arrival.LAST)]),
+    )  # fmt: skip
+    map_subscriber.MapSubscriber.apply_waiting(held)
+    problem = map_subscriber.MapSubscriber.problem(held)
+    assert problem == "gaussians: the map isn't complete: 1 splat, more is to come"
 
 
 @contextmanager
