@@ -711,8 +711,9 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
       around = {x - reach_x, x + reach_x, y - reach_y, y + reach_y};
     }
     const Floats window_depth = windowDepthOf(view, p.z);
-    PixelSpan columns = pixelsIn(around.left, around.right, int(view.width));
-    PixelSpan lines = pixelsIn(around.top, around.bottom, int(view.height));
+    const float between = view.between;
+    PixelSpan columns = pixelsIn(around.left - between, around.right + between, int(view.width));
+    PixelSpan lines = pixelsIn(around.top - between, around.bottom + between, int(view.height));
     Ints seen = (opacity >= kCutoffAlpha) & (major < 1e16f);
     if (!view.through_lens) seen &= window_depth >= 0.0f;
     if constexpr (kLens) seen &= imaged.met;
@@ -777,15 +778,15 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
         first[row] = last[row] = Ints{};
         continue;
       }
-      const Floats from = clamp(down, -reach_y, reach_y);
-      const Floats to = clamp(down + float(kTile - 1), -reach_y, reach_y);
+      const Floats from = clamp(down - between, -reach_y, reach_y);
+      const Floats to = clamp(down + (float(kTile - 1) + between), -reach_y, reach_y);
       const Floats left = clamp(-rightmost, from, to), right = clamp(rightmost, from, to);
       const auto half = [&](Floats at) {
         return half_width * sqrt(max(1.0f - at * at * over_reach, Floats{}));
       };
       const PixelSpan span =
-          tilesOf(pixelsIn(outline.x + lean * left - half(left),
-                           outline.x + lean * right + half(right), int(view.width)));
+          tilesOf(pixelsIn(outline.x + lean * left - half(left) - between,
+                           outline.x + lean * right + half(right) + between, int(view.width)));
       first[row] = max(span.first, box.first);
       last[row] = min(span.last, box.last);
     }
@@ -849,6 +850,7 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
         footprint.half_width = half_width[i];
         footprint.lean = lean[i];
         footprint.rightmost = rightmost[i];
+        footprint.between = between;
       }
       kept[n] = std::uint16_t(first_of + std::size_t(i));
       ++n;
@@ -907,31 +909,46 @@ constexpr std::size_t kPatience = 32;  // splats between tests whether a tile ha
 
 // Calls blend(sample, exponents, covered, depths) for each vector of samples.
 template <typename Blend>
-void atSamples(const TileSamples& samples, int top, const Record& e, const RayShape& shape,
-               const Blend& blend) {
-  // Boxes are those of the pixels whose centres a splat covers.
-  const int first = samples.rows[least(most(e.top - 1 - top, 0), kTile)];
-  const int last = samples.rows[least(most(e.bottom + 1 - top, 0), kTile)];
+void atSamples(const ListedTile& tile, const Record& e, const RayShape& shape, const Blend& blend) {
+  const TileSamples& samples = tile.samples;
+  const int first = samples.rows[least(most(e.top - tile.top, 0), kTile)];
+  const int last = samples.rows[least(most(e.bottom - tile.top, 0), kTile)];
+  const int vectors = (last - first + kLanes - 1) / kLanes;
+  const int begin = least(first, kTilePixels - vectors * kLanes);
+  // Of the tile's corner.
+  const float dx = float(tile.left) - e.x, dy = float(tile.top) - e.y;
+  const Floats u_there = all(e.ux * dx + e.uy * dy + shape.u);
+  const Floats v_there = all(e.vx * dx + e.vy * dy + shape.v);
+  const Floats line_there = all(shape.tilt_x * dx + shape.tilt_y * dy + shape.along);
   const Floats peak = all(e.peak), depth = all(e.depth);
   const Floats end = all(e.share < 0.0f ? kBallEnd : kCutoffEnd);
-  const Floats spot = all(kSpot * kHalfLog2 * kHalfLog2 / kSquared);
-  for (int i = first / kLanes * kLanes; i < last; i += kLanes) {
-    const Floats x = load(samples.x + i), y = load(samples.y + i);
-    const Floats dx = x - e.x, dy = y - e.y;
-    const Floats u = fma(dx, all(e.ux), fma(dy, all(e.uy), all(shape.u)));
-    const Floats v = fma(dx, all(e.vx), fma(dy, all(e.vy), all(shape.v)));
-    // Of what is behind the camera, the largest response is at the camera, 1 / nearness away.
-    const Floats line = fma(dx, all(shape.tilt_x), fma(dy, all(shape.tilt_y), all(shape.along)));
-    const Floats along = max(line, Floats{}), flat = max(fma(v, v, u * u), all(1e-20f));
-    const Floats over = 1.0f / fma(along, along, shape.nearness * flat);
-    const Floats on_ray = fma(-flat, over, peak);
-    const Floats beside = x - shape.spot_x, below = y - shape.spot_y;
-    const Floats of_spot = fma(-spot * below, below, peak - spot * beside * beside);
-    const Floats exponent = max(on_ray, of_spot);
-    const Ints covered = exponent >= end;
-    if (!any(covered)) continue;
-    blend(i, exponent, covered, on_ray >= of_spot ? max(depth * along * over, Floats{}) : depth);
+  const auto along = [&](const auto& withSpot) {
+    for (int i = begin; i < last; i += kLanes) {
+      const Floats x = load(samples.x + i), y = load(samples.y + i);
+      const Floats u = fma(x, all(e.ux), fma(y, all(e.uy), u_there));
+      const Floats v = fma(x, all(e.vx), fma(y, all(e.vy), v_there));
+      // Of what is behind the camera, the largest response is at the camera, 1 / nearness away.
+      const Floats line = fma(x, all(shape.tilt_x), fma(y, all(shape.tilt_y), line_there));
+      const Floats ahead = max(line, Floats{}), flat = max(fma(v, v, u * u), all(1e-20f));
+      const Floats over = 1.0f / fma(ahead, ahead, shape.nearness * flat);
+      Floats exponent = fma(-flat, over, peak), seen = max(depth * ahead * over, Floats{});
+      withSpot(x, y, exponent, seen);
+      blend(i, exponent, exponent >= end, seen);
+    }
+  };
+  if (shape.spot_x == __builtin_inff()) {
+    along([](const Floats&, const Floats&, Floats&, Floats&) {});
+    return;
   }
+  const Floats spot = all(kSpot * kHalfLog2 * kHalfLog2 / kSquared);
+  const Floats spot_x = all(shape.spot_x - float(tile.left));
+  const Floats spot_y = all(shape.spot_y - float(tile.top));
+  along([&](const Floats& x, const Floats& y, Floats& exponent, Floats& seen) {
+    const Floats beside = x - spot_x, below = y - spot_y;
+    const Floats of_spot = fma(-spot * below, below, peak - spot * beside * beside);
+    seen = exponent >= of_spot ? seen : depth;
+    exponent = max(exponent, of_spot);
+  });
 }
 
 // Calls blendOf(record)(pixel, exponents, covered, depths) for each splat of a tile, nearest first,
@@ -956,7 +973,7 @@ bool walk(const ListedTile& tile, const float* transmittance, const float* behin
     const Record& e = records[listed[k].record];
     const auto blend = blendOf(e);
     if (kConic && tile.samples.x) {
-      atSamples(tile.samples, top, e, tile.shapes[listed[k].record], blend);
+      atSamples(tile, e, tile.shapes[listed[k].record], blend);
       continue;
     }
     const int first = most(e.top - top, 0), last = least(e.bottom - top, kTile);

@@ -78,6 +78,7 @@ struct ProjectView : SplatSettings {
   int sh_degree;
   bool orthographic;
   bool through_lens;  // splats beside and behind the camera count, too
+  float between;      // how far from a pixel's centre the picture may be sampled: 0 or 0.5 [px]
   bool planes;        // ellipses have RayShapes that are planes
   LensCurve lens;
   Model model;
@@ -135,12 +136,13 @@ struct Footprint {
   std::int16_t left, right;                // columns of all rows: [left, right)
   // Set only if there are more than kRows rows; as Outline in splat_tiles.glsl.
   float x, y, reach_y, half_width, lean, rightmost;
+  float between;  // as ProjectView's
 };
 
 // Samples in place of a tile's pixels, kTilePixels at most; padded to a whole vector. What a ray's
 // line meets behind the camera doesn't count.
 struct TileSamples {
-  const float* x;  // [px]
+  const float* x;  // from the tile's corner [px]
   const float* y;
   // Where those of each of the tile's rows of pixels begin, and the end.
   const std::uint16_t* rows;

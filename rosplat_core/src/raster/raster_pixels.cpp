@@ -104,18 +104,20 @@ void CpuRasterizer::Work::blendSamples(const PictureRequest& request, SplatPictu
   const PictureSamples& samples = *request.samples;
   const bool deep = request.depth != PictureDepth::kNone;
   TilePixels& pixels = member.pixels;
-  const int top = int(number) / across * kTile;
+  const int left = int(number) % across * kTile, top = int(number) / across * kTile;
   const std::size_t end = samples.begins[number + 1];
   for (std::size_t begin = samples.begins[number]; begin < end; begin += kTilePixels) {
     const std::size_t count = std::min<std::size_t>(end - begin, kTilePixels);
     std::memset(&pixels, 0, sizeof(pixels));
     std::fill_n(member.opaque, kTilePixels, 0.0f);
     std::fill_n(member.divided, kTilePixels, 0.0f);
-    std::copy_n(samples.x.data + begin, count, member.opaque);
-    std::copy_n(samples.y.data + begin, count, member.divided);
+    for (std::size_t i = 0; i < count; ++i) {
+      member.opaque[i] = samples.x[begin + i] - float(left);
+      member.divided[i] = samples.y[begin + i] - float(top);
+    }
     std::uint16_t rows[kTile + 1];
     for (int row = 0, above = 0; row <= kTile; ++row) {
-      const auto y = float(top + row);
+      const auto y = float(row);
       while (above < int(count) && (member.divided[above] < y || row == kTile)) ++above;
       rows[row] = std::uint16_t(above);
     }
@@ -130,6 +132,7 @@ void CpuRasterizer::Work::blendSamples(const PictureRequest& request, SplatPictu
     tile.count = inTile(number);
     tile.records = records.get();
     tile.shapes = shapes.get();
+    tile.left = left;
     tile.top = top;
     tile.samples = {member.opaque, member.divided, rows};
     tile.ends_at = ends_at;

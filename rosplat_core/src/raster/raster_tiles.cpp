@@ -19,7 +19,8 @@ constexpr std::size_t kUncounted = std::size_t{1}
 
 // Finds the tiles [first, last) that a splat may cover in a row; see across() in splat_tiles.glsl.
 void columnsOf(const Footprint& f, int row, int& first, int& last) {
-  const float top = float(kTile * row) + 0.5f - f.y, bottom = top + float(kTile - 1);
+  const float top = float(kTile * row) + 0.5f - f.between - f.y;
+  const float bottom = top + float(kTile - 1) + 2 * f.between;
   const auto inside = [](float v, float limit) { return std::clamp(v, -limit, limit); };
   const float from = inside(top, f.reach_y), to = inside(bottom, f.reach_y);
   const float left = std::clamp(-f.rightmost, from, to), right = std::clamp(f.rightmost, from, to);
@@ -29,7 +30,7 @@ void columnsOf(const Footprint& f, int row, int& first, int& last) {
   };
   const float begin = f.x + f.lean * left - halfWidth(left);
   const float end = f.x + f.lean * right + halfWidth(right);
-  const float slack = 0.05f + 1e-5f * (end - begin);
+  const float slack = 0.05f + 1e-5f * (end - begin) + f.between;
   const float least = std::ceil(begin - 0.5f - slack), most = std::floor(end - 0.5f + slack);
   first = last = 0;
   if (!(least <= most)) return;

@@ -66,6 +66,7 @@ void CpuRasterizer::Work::setView(const PictureLayer& layer, const PictureReques
   p.sh_degree = std::min(layer.slots->shDegree(), settings.max_sh_degree);
   p.orthographic = camera.orthographic;
   p.through_lens = c.through_lens;
+  p.between = request.samples ? 0.5f : 0.0f;
   p.lens = {};
   if (request.lens) {
     const auto parts = int(request.lens->curve.size / 4);
