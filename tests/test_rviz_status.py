@@ -83,6 +83,7 @@ def request_picture(
     topic: str = "/gaussians",
     order_timeout: float = 0.0,
     client: Any = None,
+    projection: int = 0,
 ) -> Any:
     """The future of what the display answers to a camera that looks up from a metre below."""
     from rosplat_core.cameras import Camera
@@ -94,7 +95,7 @@ def request_picture(
     camera = view_camera(
         Camera(id=0, width=16, height=16, fx=16, fy=16, cx=8, cy=8, world_to_camera=below)
     )
-    camera.header.frame_id = frame
+    camera.header.frame_id, camera.projection = frame, projection
     client = client or world.node.create_client(RenderView, f"{topic}/render")
     world.spin_until(client.service_is_ready)
     return client.call_async(RenderView.Request(camera=camera, order_timeout=order_timeout))
@@ -185,6 +186,8 @@ def test_pictures_are_drawn_by_a_display_that_is_told_to(rviz: Rviz, world: Worl
     world.spin_until(lambda: not service.service_is_ready())
     rviz.set("Map", "Render Service", value=True)
     assert ask_for_picture(world).success
+    assert "rviz draws no panorama, the viewer" in ask_for_picture(world, projection=2).message
+    assert ask_for_picture(world, projection=7).message == "projection is 7, known are 0 and 1"
 
 
 def test_clients_that_ask_for_pictures_take_turns(rviz: Rviz, world: World) -> None:

@@ -108,14 +108,19 @@ Placement toPlacement(const geometry_msgs::msg::Pose& pose) {
 }
 
 SplatCamera toCamera(const rosplat_msgs::msg::ViewCamera& m) {
-  if (m.projection > rosplat_msgs::msg::ViewCamera::ORTHOGRAPHIC) {
-    throw std::invalid_argument("projection " + std::to_string(m.projection) + " is unknown");
+  using rosplat_msgs::msg::ViewCamera;
+  if (m.projection == ViewCamera::EQUIRECTANGULAR) {
+    throw std::invalid_argument(
+        "projection is EQUIRECTANGULAR: rviz draws no panorama, the viewer with serve does");
+  }
+  if (m.projection > ViewCamera::ORTHOGRAPHIC) {
+    throw std::invalid_argument("projection is " + std::to_string(m.projection) +
+                                ", known are 0 and 1");
   }
   const auto& p = m.pose.position;
   const auto& q = m.pose.orientation;
-  return makeCamera({p.x, p.y, p.z}, {q.x, q.y, q.z, q.w},
-                    m.projection == rosplat_msgs::msg::ViewCamera::ORTHOGRAPHIC, m.fx, m.fy, m.cx,
-                    m.cy, m.width, m.height, m.near_clip, m.far_clip);
+  return makeCamera({p.x, p.y, p.z}, {q.x, q.y, q.z, q.w}, m.projection == ViewCamera::ORTHOGRAPHIC,
+                    m.fx, m.fy, m.cx, m.cy, m.width, m.height, m.near_clip, m.far_clip);
 }
 
 }  // namespace rosplat
