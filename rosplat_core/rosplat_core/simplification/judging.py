@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binom
 
 from rosplat_core.cameras import Camera
 from rosplat_core.maps import DELETE, UPSERT
@@ -21,6 +22,7 @@ from rosplat_core.simplification.merging import Contributions, Indices, Pairs
 from rosplat_core.splats import Splats
 
 SHARE = 0.95  # of the views, that reach a bound
+SURE = 0.95  # confidence of a search that they do
 LEAST_SHOWN = 0.01
 LEVELS = (
     65535  # of the colours that are compared: finer than a screen's, in half of a float's bytes
@@ -43,7 +45,9 @@ class Quality:
     def of(cls, errors: NDArray[np.float64]) -> Quality:
         """The quality for the mean square errors (n,) of views."""
         return cls(
-            psnr_of(exceeded(errors)), psnr_of(float(errors.mean())), psnr_of(float(errors.max()))
+            psnr_of(exceeded(errors, allowed(len(errors)))),
+            psnr_of(float(errors.mean())),
+            psnr_of(float(errors.max())),
         )
 
 
@@ -52,12 +56,14 @@ def allowed(views: int) -> int:
     return int(views * (1 - SHARE) + 1e-9)
 
 
-def exceeded(errors: NDArray[np.float64], views: int | None = None) -> float:
-    """The least error that no more than the allowed views exceed.
+def surely_allowed(views: int) -> int:
+    """How many of so many random views may miss a bound that SHARE of all views surely reach."""
+    return max(0, int(binom.ppf(1 - SURE, views, 1 - SHARE)) - 1)
 
-    errors: (n,) of all views, or of the worst of so many.
-    """
-    return float(np.sort(errors)[::-1][allowed(views or len(errors))])
+
+def exceeded(errors: NDArray[np.float64], most: int) -> float:
+    """The least error that no more than so many of the errors exceed."""
+    return float(np.sort(errors)[::-1][most])
 
 
 class Judge:

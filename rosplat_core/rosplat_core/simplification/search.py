@@ -3,7 +3,7 @@
 1. Views of the whole map tell what each splat contributes, and what is lost without it.
 2. A search leaves out, or merges, what costs least, a quarter of the splats at a time: whichever of
    the two makes the smaller error with as many, as pictures tell. It checks maps from views that
-   nothing was learnt from: SHARE of them reach the bound.
+   nothing was learnt from: so many reach the bound that SHARE of all surely do.
 3. The map that it finds is checked from new views. If too many miss the bound, these are learnt
    from, count more than others, and are among those that the next search checks maps from.
 """
@@ -26,6 +26,7 @@ from rosplat_core.simplification.judging import (
     Trial,
     allowed,
     exceeded,
+    surely_allowed,
 )
 from rosplat_core.simplification.merging import (
     MOST,
@@ -65,7 +66,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Step:
-    """A map that was tried."""
+    """A map that a search found, judged in new views; or one that is refitted, in all."""
 
     splats: int
     quality: Quality
@@ -151,7 +152,7 @@ def _look(trial: Trial, camera: Camera) -> tuple[NDArray[np.uint32], Contributio
 
 
 class Simplification:
-    """A map that is made smaller, and the maps that were tried."""
+    """A map that is made smaller, and the maps that searches found."""
 
     def __init__(
         self,
@@ -204,6 +205,7 @@ class Simplification:
             new = np.arange(len(self.judge))[-count:]
             tell = self._telling_of(f"checking {len(self.splats):,} splats in new views")
             self._errors[new] = self.judge.errors(Trial(self.splats), new, tell)
+            self.steps.append(Step(len(self.splats), Quality.of(self._errors[new])))
             missed = new[self._errors[new] > 10 ** (-bound / 10)]
             if len(missed) <= allowed(count):
                 return
@@ -214,7 +216,7 @@ class Simplification:
             tell = self._telling_of("finding what contributes to half as many views again")
             self.learnt.add(trial, self.learnt.drawn // 2, tell)
             if self._rounds == ROUNDS:  # no other search will make up for what this one misses
-                bound += bound - psnr_of(exceeded(self._errors[new]))
+                bound += bound - psnr_of(exceeded(self._errors[new], allowed(count)))
             self._search(bound)
 
     def look_anew(self) -> int:
@@ -228,7 +230,7 @@ class Simplification:
 
     def deciding(self, splats: Splats) -> float:
         """What SHARE of the views reach, by those that differed most in the search. [dB]"""
-        return psnr_of(self._of_worst(Trial(splats), allowed(len(self.judge)) + TELLING))
+        return psnr_of(self._of_worst(Trial(splats), surely_allowed(len(self.judge)) + TELLING))
 
     def _search(self, bound: float) -> None:
         """Reduces the map to about the fewest splats that the judge's views allow, maybe all."""
@@ -330,20 +332,19 @@ class Simplification:
         """
         trial = self._trial = self._trial or Trial(self.splats)
         trial.apply(pairs, count)
-        error = self._of_worst(trial, allowed(len(self.judge)) + TELLING)
+        error = self._of_worst(trial, surely_allowed(len(self.judge)) + TELLING)
         if psnr_of(error) < bound:
             return error
         unknown = int(np.isinf(self._errors).sum())
-        error = self._of_worst(trial, max(len(self.judge) // LIKELY, unknown))
-        self.steps.append(Step(len(self.splats) - count, Quality.of(self._errors)))
-        return error
+        return self._of_worst(trial, max(len(self.judge) // LIKELY, unknown))
 
     def _of_worst(self, trial: Trial, count: int) -> float:
         """The error that decides, by the count views that differed most the last time."""
-        worst = np.argsort(-self._errors, kind="stable")[: max(count, allowed(len(self.judge)) + 1)]
+        missing = surely_allowed(len(self.judge))
+        worst = np.argsort(-self._errors, kind="stable")[: max(count, missing + 1)]
         tell = self._telling_of(f"checking for the bound in {len(worst)} views")
         self._errors[worst] = self.judge.errors(trial, worst, tell)
-        return exceeded(self._errors[worst], len(self.judge))
+        return exceeded(self._errors[worst], missing)
 
     @property
     def _values(self) -> float:

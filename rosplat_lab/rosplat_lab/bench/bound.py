@@ -20,14 +20,16 @@ from rosplat_lab.bench.records import Doing, Event, Measurement
 BOUNDS, QUICK_BOUNDS = (35, 45, 55), (35,)  # [dB]
 SIZES, QUICK_SIZES = (20_000,), (3_000,)
 HELD = 64  # views that judge
+NEW_SEED = 1_000_000  # beyond those of searches
 ELEVATIONS = (0.0, 0.3, 0.6, 0.9)  # of orbits around a scene [rad]
 
 
 def measure(plan: Plan) -> Iterator[Event]:
-    """PSNR, printed and in HELD other views of another kind: of most, of all, of the worst.
+    """PSNR of most views, of all, of the worst: printed, in HELD new ones, and in HELD others.
 
-    These are orbits that show the whole scene, or turns within rooms. Where a path is given, it is
-    of its odd cameras, and the even ones judge.
+    New ones are of the kind that the search looks from. The others are orbits that show the whole
+    scene, or turns within rooms. Where a path is given, the search has its odd cameras, and the
+    others are even ones.
     """
     sizes = plan.sizes or (() if plan.scenes else QUICK_SIZES if plan.quick else SIZES)
     path = load_cameras(plan.cameras) if plan.cameras else None
@@ -38,11 +40,11 @@ def measure(plan: Plan) -> Iterator[Event]:
 
 
 def _scene(name: str, path: list[Camera] | None, bounds: tuple[int, ...]) -> Iterator[Event]:
-    from rosplat_core.simplification.judging import Judge, Trial
+    from rosplat_core.simplification.judging import Judge, Quality, Trial
     from rosplat_core.simplification.search import Simplification
 
     splats = scenes.load(name)
-    held = Judge(Trial(splats), path[::2][:HELD] if path else _held_back(name, splats))
+    held = Judge(Trial(splats), _even(path) if path else _held_back(name, splats))
     for number, bound in enumerate(bounds):
         yield Doing(f"{name}, {bound} dB", number / len(bounds))
         began = time.process_time()
@@ -50,18 +52,27 @@ def _scene(name: str, path: list[Camera] | None, bounds: tuple[int, ...]) -> Ite
         work.shrink(bound)
         took = time.process_time() - began
         work.look_anew()
-        for views, judge in (("printed", work.judge), ("held back", held)):
-            quality = judge(work.splats)
+        new = Judge(Trial(splats), work.views.cameras(HELD, NEW_SEED))
+        for views, judge in (("printed", work.judge), ("new", new), ("held back", held)):
+            errors = judge.errors(Trial(work.splats))
+            quality = Quality.of(errors)
             labels: dict[str, Any] = {
                 "scene": name, "splats": len(work.splats), "of": len(splats), "bound": bound,
                 "views": views, "judged in": len(judge),
             }  # fmt: skip
+            reached = int((errors <= 10 ** (-bound / 10)).sum())
+            yield Measurement.of("views that reach the bound", "1", reached, **labels)
             yield Measurement.of("PSNR that most views reach", "dB", quality.psnr, **labels)
             yield Measurement.of("PSNR", "dB", quality.mean, **labels)
             yield Measurement.of("PSNR of the worst view", "dB", quality.worst, **labels)
         yield Measurement.of(
             "processor time", "s", took, scene=name, splats=len(work.splats), bound=bound
         )
+
+
+def _even(path: list[Camera]) -> list[Camera]:
+    even = path[::2]
+    return [even[i] for i in np.linspace(0, len(even) - 1, min(HELD, len(even))).astype(int)]
 
 
 def _held_back(name: str, splats: Splats) -> list[Camera]:

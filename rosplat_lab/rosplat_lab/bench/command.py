@@ -36,6 +36,7 @@ from rosplat_lab.bench.records import (
     save,
 )  # fmt: skip
 from rosplat_lab.bench.renderers import RENDERERS
+from rosplat_lab.bench.thin import THIN
 from rosplat_ros.program.processes import ProcessError
 from rosplat_sorter.backends import BACKENDS
 
@@ -114,7 +115,8 @@ def _draw(arguments: list[str], console: Console) -> int:
 def _measure(arguments: list[str], console: Console) -> int:
     options = _parser().parse_args(arguments)
     for name in options.scenes:
-        check_scene(name)
+        if name not in THIN:
+            check_scene(name)
     plan = Plan(
         out=options.out,
         quick=options.quick,

@@ -12,6 +12,7 @@ from rosplat_core.generated import rooms
 from rosplat_core.scenes import PROCEDURAL, ROOMS, load_scene
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import Splats
+from rosplat_lab.bench.thin import THIN
 
 EYE = 1.6  # height of a person's eyes above a room's floor [m]
 STEP = math.radians(1)  # by which the camera turns from picture to picture
@@ -19,8 +20,8 @@ PICTURES = ((1280, 720), (1920, 1080))
 
 
 def load(name: str) -> Splats:
-    """A scene by its name, as publishers send it. Raises InputError."""
-    splats = load_scene(name, lambda _: None, lambda _: None)
+    """A scene by its name, or one of THIN, as publishers send it. Raises InputError."""
+    splats = THIN[name]() if name in THIN else load_scene(name, lambda _: None, lambda _: None)
     put_in_slot_order(splats)
     return splats
 
