@@ -22,7 +22,7 @@ from rosplat_core.simplification.merging import Contributions, Indices, Pairs
 from rosplat_core.splats import Splats
 
 SHARE = 0.95  # of the views, that reach a bound
-SURE = 0.95  # confidence of a search that they do
+SURE = 0.9  # confidence of a search that they do
 LEAST_SHOWN = 0.01
 LEVELS = (
     65535  # of the colours that are compared: finer than a screen's, in half of a float's bytes
@@ -45,20 +45,18 @@ class Quality:
     def of(cls, errors: NDArray[np.float64]) -> Quality:
         """The quality for the mean square errors (n,) of views."""
         return cls(
-            psnr_of(exceeded(errors, allowed(len(errors)))),
+            psnr_of(exceeded(errors, int(len(errors) * (1 - SHARE) + 1e-9))),
             psnr_of(float(errors.mean())),
             psnr_of(float(errors.max())),
         )
 
 
 def allowed(views: int) -> int:
-    """How many of so many views may miss a bound."""
-    return int(views * (1 - SHARE) + 1e-9)
+    """How many of so many random views may miss a bound if SURE that SHARE of all reach it.
 
-
-def surely_allowed(views: int) -> int:
-    """How many of so many random views may miss a bound that SHARE of all views surely reach."""
-    return max(0, int(binom.ppf(1 - SURE, views, 1 - SHARE)) - 1)
+    One at least, so that no single view decides.
+    """
+    return max(1, int(binom.ppf(1 - SURE, views, 1 - SHARE)) - 1)
 
 
 def exceeded(errors: NDArray[np.float64], most: int) -> float:

@@ -26,7 +26,6 @@ from rosplat_core.simplification.judging import (
     Trial,
     allowed,
     exceeded,
-    surely_allowed,
 )
 from rosplat_core.simplification.merging import (
     MOST,
@@ -46,7 +45,7 @@ VALUES = 3 * PIXELS
 LEARNT = 96  # views for contributions at first
 AGAIN = 0.25  # weight of views that missed a bound among all that are learnt from
 LEARNT_SEED = 0
-FRESH = 40  # new views that a map is checked in
+FRESH = 64  # new views that a map is checked in
 ROUNDS = 3  # in which these are learnt from, at most
 FRESH_SEED, REFIT_SEED = 1000, 2  # of these views, and of those that maps are refitted to
 FREE = 15.0  # so far above a bound is what is left out without a thought of merging [dB]
@@ -56,8 +55,7 @@ CONTRAST = 0.09  # mean square difference that an unseen splat is taken to have 
 LEAST = 1e-30  # lower bound of errors in logarithms
 CLOSE = 0.03  # the search for the smallest map ends within this share of what may be merged
 NEAR = 0.2  # or within this above the bound [dB]
-TELLING = 4  # views beside those that may miss a bound, which tell whether more have to be drawn
-LIKELY = 3  # one in so many views is drawn then, those that differed most the last time
+TELLING = 4  # views beside those that may miss a bound, which tell whether all have to be drawn
 COHERENT = 0.9  # first guess of log10 of the error of neighbours together over the sum of theirs
 
 Progress = Callable[[str, float], None]
@@ -196,41 +194,42 @@ class Simplification:
         """Reduces the map to about the fewest splats of which SHARE of the views reach bound [dB].
 
         Checks the map from new views. While too many of these miss the bound, and ROUNDS are left,
-        they are learnt from, and the search begins anew, checked from them as well.
+        they are learnt from, and the search begins anew, checked from more views.
         """
         self._search(bound)
         while self._rounds < ROUNDS and len(self.splats) < len(self._whole):
             self._rounds += 1
-            count = self.look_anew()
-            new = np.arange(len(self.judge))[-count:]
+            new = Judge(Trial(self._whole), self._new_views(), self._telling_of("drawing new views"))
             tell = self._telling_of(f"checking {len(self.splats):,} splats in new views")
-            self._errors[new] = self.judge.errors(Trial(self.splats), new, tell)
-            self.steps.append(Step(len(self.splats), Quality.of(self._errors[new])))
-            missed = new[self._errors[new] > 10 ** (-bound / 10)]
-            if len(missed) <= allowed(count):
+            errors = new.errors(Trial(self.splats), progress=tell)
+            self.steps.append(Step(len(self.splats), Quality.of(errors)))
+            missed = np.flatnonzero(errors > 10 ** (-bound / 10))
+            if len(missed) <= allowed(len(new)):
                 return
+            self.look_anew()
             self._trial = trial = Trial(self._whole)
-            cameras = [self.judge.cameras[view] for view in missed]
+            cameras = [new.cameras[view] for view in missed]
             tell = self._telling_of(f"learning from {len(missed)} views that miss the bound")
             self.learnt.add_again(trial, cameras, tell)
             tell = self._telling_of("finding what contributes to half as many views again")
             self.learnt.add(trial, self.learnt.drawn // 2, tell)
-            if self._rounds == ROUNDS:  # no other search will make up for what this one misses
-                bound += bound - psnr_of(exceeded(self._errors[new], allowed(count)))
             self._search(bound)
 
     def look_anew(self) -> int:
         """Gives the judge new views, from which nothing was learnt; returns how many."""
         self._trial = None  # frees its memory
-        cameras = self.views.cameras(FRESH, self._fresh)
-        self._fresh += 1
-        self.judge.add(Trial(self._whole), cameras, self._telling_of("drawing new views"))
+        tell = self._telling_of("drawing new views")
+        self.judge.add(Trial(self._whole), self._new_views(), tell)
         self._errors = np.append(self._errors, np.full(FRESH, np.inf))
         return FRESH
 
+    def _new_views(self) -> list[Camera]:
+        self._fresh += 1
+        return self.views.cameras(FRESH, self._fresh)
+
     def deciding(self, splats: Splats) -> float:
         """What SHARE of the views reach, by those that differed most in the search. [dB]"""
-        return psnr_of(self._of_worst(Trial(splats), surely_allowed(len(self.judge)) + TELLING))
+        return psnr_of(self._of_worst(Trial(splats), allowed(len(self.judge)) + TELLING))
 
     def _search(self, bound: float) -> None:
         """Reduces the map to about the fewest splats that the judge's views allow, maybe all."""
@@ -328,19 +327,18 @@ class Simplification:
     def _look(self, pairs: Pairs, count: int, bound: float) -> float:
         """The error that decides, see exceeded(), with the first count pairs merged.
 
-        Draws the views that differed most the last time, and more only where these keep the bound.
+        Draws the views that differed most the last time, and all only where these keep the bound.
         """
         trial = self._trial = self._trial or Trial(self.splats)
         trial.apply(pairs, count)
-        error = self._of_worst(trial, surely_allowed(len(self.judge)) + TELLING)
+        error = self._of_worst(trial, allowed(len(self.judge)) + TELLING)
         if psnr_of(error) < bound:
             return error
-        unknown = int(np.isinf(self._errors).sum())
-        return self._of_worst(trial, max(len(self.judge) // LIKELY, unknown))
+        return self._of_worst(trial, len(self.judge))
 
     def _of_worst(self, trial: Trial, count: int) -> float:
         """The error that decides, by the count views that differed most the last time."""
-        missing = surely_allowed(len(self.judge))
+        missing = allowed(len(self.judge))
         worst = np.argsort(-self._errors, kind="stable")[: max(count, missing + 1)]
         tell = self._telling_of(f"checking for the bound in {len(worst)} views")
         self._errors[worst] = self.judge.errors(trial, worst, tell)
