@@ -23,7 +23,7 @@ from rosplat_core.formats import load, save
 from rosplat_core.generated import generate
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.simplification import search, simplify
-from rosplat_core.simplification.judging import Judge, Quality, Trial
+from rosplat_core.simplification.judging import Judge, Trial
 from rosplat_core.simplification.merging import find_pairs, merge
 from rosplat_core.simplification.search import Learnt, Simplification
 from rosplat_core.simplification.views import Around, whereabouts
@@ -125,11 +125,10 @@ def test_a_row_is_of_the_map_that_has_so_many_splats(garden: Splats) -> None:
     """What an earlier map made in views that were not drawn again is in no row."""
     work = Simplification(garden)
     work.shrink(33)
-    count = work.look_anew()
     (row,) = [step for step in work.steps if step.splats == len(work.splats)]
-    errors = work.judge.errors(Trial(work.splats))[-2 * count : -count]  # in the last new views
-    assert row.quality.mean == pytest.approx(Quality.of(errors).mean, abs=0.01)
-    assert row.quality.worst == pytest.approx(Quality.of(errors).worst, abs=0.01)
+    new = Judge(Trial(garden), work.views.cameras(search.FRESH, search.FRESH_SEED + 1))
+    assert row.quality.mean == pytest.approx(new(work.splats).mean, abs=0.01)
+    assert row.quality.worst == pytest.approx(new(work.splats).worst, abs=0.01)
 
 
 def test_the_bound_is_that_of_the_file(garden: Splats, tmp_path: Path) -> None:

@@ -199,7 +199,8 @@ class Simplification:
         self._search(bound)
         while self._rounds < ROUNDS and len(self.splats) < len(self._whole):
             self._rounds += 1
-            new = Judge(Trial(self._whole), self._new_views(), self._telling_of("drawing new views"))
+            tell = self._telling_of("drawing new views")
+            new = Judge(Trial(self._whole), self._new_views(), tell)
             tell = self._telling_of(f"checking {len(self.splats):,} splats in new views")
             errors = new.errors(Trial(self.splats), progress=tell)
             self.steps.append(Step(len(self.splats), Quality.of(errors)))

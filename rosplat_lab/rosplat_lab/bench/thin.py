@@ -53,7 +53,7 @@ def fence() -> Splats:
 
 
 def inlays() -> Splats:
-    """A dark, grained board, 4 m by 0.6, with frets and small bright inlays on both of its faces."""
+    """A dark, grained board with frets and small bright inlays on both of its faces."""
     random = np.random.default_rng(0)
     board = np.column_stack([random.uniform(-2, 2, 6000), random.uniform(-0.3, 0.3, 6000)])
     fret, across = np.divmod(np.arange(24 * 40), 40)
