@@ -711,9 +711,12 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
       around = {x - reach_x, x + reach_x, y - reach_y, y + reach_y};
     }
     const Floats window_depth = windowDepthOf(view, p.z);
-    const float between = view.between;
-    PixelSpan columns = pixelsIn(around.left - between, around.right + between, int(view.width));
-    PixelSpan lines = pixelsIn(around.top - between, around.bottom + between, int(view.height));
+    const auto sampledIn = [&](Floats from, Floats to, float pixels) {
+      if constexpr (kConic) from -= view.between, to += view.between;
+      return pixelsIn(from, to, int(pixels));
+    };
+    PixelSpan columns = sampledIn(around.left, around.right, view.width);
+    PixelSpan lines = sampledIn(around.top, around.bottom, view.height);
     Ints seen = (opacity >= kCutoffAlpha) & (major < 1e16f);
     if (!view.through_lens) seen &= window_depth >= 0.0f;
     if constexpr (kLens) seen &= imaged.met;
@@ -778,15 +781,15 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
         first[row] = last[row] = Ints{};
         continue;
       }
+      const float between = kConic ? view.between : 0.0f;
       const Floats from = clamp(down - between, -reach_y, reach_y);
       const Floats to = clamp(down + (float(kTile - 1) + between), -reach_y, reach_y);
       const Floats left = clamp(-rightmost, from, to), right = clamp(rightmost, from, to);
       const auto half = [&](Floats at) {
         return half_width * sqrt(max(1.0f - at * at * over_reach, Floats{}));
       };
-      const PixelSpan span =
-          tilesOf(pixelsIn(outline.x + lean * left - half(left) - between,
-                           outline.x + lean * right + half(right) + between, int(view.width)));
+      const PixelSpan span = tilesOf(sampledIn(outline.x + lean * left - half(left),
+                                               outline.x + lean * right + half(right), view.width));
       first[row] = max(span.first, box.first);
       last[row] = min(span.last, box.last);
     }
@@ -850,7 +853,7 @@ std::size_t projectAs(const ProjectView& given, const PageSlots& page,
         footprint.half_width = half_width[i];
         footprint.lean = lean[i];
         footprint.rightmost = rightmost[i];
-        footprint.between = between;
+        footprint.between = view.between;
       }
       kept[n] = std::uint16_t(first_of + std::size_t(i));
       ++n;
