@@ -97,9 +97,9 @@ def test_the_readme_is_short() -> None:
 
 def test_python_publishes_a_map() -> None:
     blocks = [block for block in blocks_of(README, "python") if WITHOUT_ROS not in block]
-    assert "rclpy.spin(node)" in blocks[0]
+    assert "\nspin(node)" in blocks[0]
     blocks += blocks_of(GUIDES / "publish.md", "python")
-    script = OF_THE_READER + "\n".join(blocks).replace("rclpy.spin(node)", "pass") + SAYS
+    script = OF_THE_READER + "\n".join(blocks).replace("\nspin(node)", "\npass") + SAYS
     run = subprocess.run(
         [sys.executable, "-c", script],
         capture_output=True,
@@ -109,6 +109,21 @@ def test_python_publishes_a_map() -> None:
     )
     assert run.stderr == ""
     assert run.stdout == "2000 2023 label confidence\n"
+
+
+@pytest.mark.parametrize("page", [README, GUIDES / "sensor.md"], ids=lambda page: page.stem)
+def test_an_example_ends_by_ctrl_c_without_a_traceback(page: Path) -> None:
+    block = blocks_of(page, "python")[0]
+    spins = re.compile(r"^( *)spin\((.*)\)", re.MULTILINE)
+    assert spins.search(block)
+    says = r"\1node = \2; node.create_timer(0.1, lambda: print(flush=True)); spin(node)"
+    script = spins.sub(says, block)
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        assert run.stdout and run.stdout.readline()
+        run.send_signal(signal.SIGINT)
+        assert run.communicate(timeout=PATIENCE)[1] == ""
 
 
 # A room filmed with depths, heard by the guide's node; then it is moved by a loop closure.
@@ -166,8 +181,8 @@ print(len(mapper.keyframes), before, psnr(moved))
 def test_a_sensor_makes_a_live_map() -> None:
     (block,) = blocks_of(GUIDES / "sensor.md", "python")
     node, main = block.split("if __name__")
-    assert "rclpy.spin(Mapper())" in main
-    assert len(node[node.index("def splats_of") :].splitlines()) <= 62
+    assert "    spin(Mapper())" in main
+    assert len(node[node.index("def splats_of") :].splitlines()) <= 61
     run = subprocess.run(
         [sys.executable, "-c", "import dataclasses\n" + node + FILMED],
         capture_output=True, text=True, timeout=PATIENCE, check=False,

@@ -14,11 +14,13 @@ if TYPE_CHECKING:
     from rosplat_ros.map_publisher import MapPublisher
     from rosplat_ros.map_receiver import MapReceiver
     from rosplat_ros.poses import to_matrix
+    from rosplat_ros.program.running import spin
 
 __all__ = [
     "MapPublisher",
     "MapReceiver",
     "from_image",
+    "spin",
     "to_matrix",
 ]
 
@@ -29,5 +31,6 @@ __getattr__, __dir__ = attributes(
         "map_publisher": ("MapPublisher",),
         "map_receiver": ("MapReceiver",),
         "poses": ("to_matrix",),
+        "program.running": ("spin",),
     },
 )

@@ -9,7 +9,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import Event
 from typing import TypeVar
 
@@ -107,6 +107,12 @@ def _free_frames(error: BaseException | None) -> None:
         while error:
             traceback.clear_frames(error.__traceback__)
             error = error.__context__
+
+
+def spin(node: Node) -> None:
+    """rclpy.spin, which Ctrl-C ends without a traceback."""
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
 
 
 @contextmanager
