@@ -43,7 +43,12 @@ class LatchedSubscription:
         self._early: deque[Any] = deque(maxlen=EARLY)  # heard until then; some come again
         self._subscription = self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-        node.create_timer(WATCH_PERIOD, self._adapt_to_publishers, clock=steady)
+        self._timer = node.create_timer(WATCH_PERIOD, self._adapt_to_publishers, clock=steady)
+
+    def close(self) -> None:
+        """Hears no more."""
+        self._node.destroy_timer(self._timer)
+        self._node.destroy_subscription(self._subscription)
 
     def _subscribe(self) -> Any:
         adapted = copy(self._profile)

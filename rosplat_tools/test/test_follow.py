@@ -6,14 +6,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+import rclpy
 from core_fixtures import random_splats
 from point_cloud import cloud
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import String
 
 from rosplat_core import formats
 from rosplat_msgs.srv import PullMap
+from rosplat_ros.program.running import spinning
+from rosplat_tools.following.follow import Follow
+from rosplat_tools.foreign import MapReader, gaussian_splats, splat_array
 
 Start = Callable[..., subprocess.Popen[str]]
 
@@ -88,3 +94,27 @@ def test_a_cloud_that_is_refused_moves_nothing(start: Start, listener: Any, node
     assert any("the map stays" in line for line in process.stdout)
     answer = listener.call(PullMap, "gaussians/pull", map_id=listener.batches[-1].map_id)
     assert {batch.header.frame_id for batch in answer.batches} == {"camera_init"}
+
+
+class Word(MapReader):
+    """Says what it hears."""
+
+    def add(self, message: String) -> bool:
+        self._splats = random_splats(len(message.data), 0)
+        return True
+
+
+def test_a_known_type_is_heard_on_any_topic(
+    monkeypatch: pytest.MonkeyPatch, node: Node, listener: Any
+) -> None:
+    """Even on one on which another type was expected."""
+    for module, kind in ((splat_array, "String"), (gaussian_splats, "Header")):
+        monkeypatch.setattr(module, "TYPE", f"std_msgs/msg/{kind}")
+        monkeypatch.setattr(module, "FIELDS", ())
+        monkeypatch.setattr(module, "Reader", Word)
+    rclpy.init(args=["--ros-args", "-r", f"__ns:={node.get_namespace()}"])
+    with spinning(Follow()):
+        publisher = node.create_publisher(String, "gaussian_splats", 1)
+        listener.wait(publisher.get_subscription_count)
+        publisher.publish(String(data="heard"))
+        listener.wait_for(5)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from core_fixtures import random_splats
+from geometry_msgs.msg import Point, Quaternion, Vector3
 from point_cloud import cloud
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
@@ -49,6 +50,16 @@ class Message(SimpleNamespace):
 class GaussianArray(Message):
     def defaults(self) -> dict[str, Any]:
         return {"gaussians": [], "refresh": False}
+
+
+class SingleGaussian(Message):
+    def defaults(self) -> dict[str, Any]:
+        return {"xyz": (), "rotation": (), "scale": (), "opacity": 0}
+
+
+class OlderGaussian(Message):
+    def defaults(self) -> dict[str, Any]:
+        return {"xyz": Point(), "rotation": Quaternion(), "scale": Vector3(), "opacity": 0.0}
 
 
 class GaussianSplats(Message):
@@ -90,8 +101,8 @@ HEADER = Header(frame_id="/odom")
 @pytest.fixture(autouse=True)
 def message_classes(monkeypatch: pytest.MonkeyPatch) -> None:
     """The parts of messages whose packages aren't here."""
-    for module in (splat_array, gaussian_array):
-        monkeypatch.setattr(module, "message_class", lambda _: Message)
+    monkeypatch.setattr(splat_array, "message_class", lambda _: Message)
+    monkeypatch.setattr(gaussian_array, "message_class", lambda _: SingleGaussian)
 
 
 def written(name: str, splats: Splats) -> list[Any]:
@@ -144,7 +155,13 @@ def test_an_empty_map_comes_back(name: str) -> None:
 def test_every_type_has_a_topic_of_its_own() -> None:
     kinds = [foreign.foreign(name) for name in foreign.TYPES]
     assert len({kind.TOPIC for kind in kinds}) == len({kind.TYPE for kind in kinds}) == len(kinds)
-    assert foreign.message_class("no_such_package/msg/Map") is None
+
+
+def test_a_type_that_is_not_as_it_was_is_named() -> None:
+    with pytest.raises(InputError, match="Map is of no_such_package, which isn't installed"):
+        foreign.message_class("no_such_package/msg/Map")
+    with pytest.raises(InputError, match="Header has no means in this release of std_msgs"):
+        foreign.message_class("std_msgs/msg/Header", ("frame_id", "means"))
 
 
 # --- Point clouds ---------------------------------------------------------------------------------
@@ -270,6 +287,16 @@ def test_arrays_add_up_until_one_refreshes() -> None:
     assert len(found) == 9700
     assert_alike(found[9000:], more, 0.003, 1e-5)
     assert len(read("gaussian_array", messages + written("gaussian_array", more))) == 700
+
+
+def test_arrays_of_messages_as_they_were_until_may_2025(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fields x, y, z, w of a quaternion have the numbers of one whose w is first."""
+    monkeypatch.setattr(gaussian_array, "message_class", lambda _: OlderGaussian)
+    splats = random_splats(300, 1)
+    messages = written("gaussian_array", splats)
+    turn = messages[0].gaussians[5].rotation
+    np.testing.assert_allclose((turn.y, turn.z, turn.w, turn.x), splats.orientations[5], atol=1e-6)
+    assert_alike(read("gaussian_array", messages), splats, 1e-6, 1e-5)
 
 
 def test_tiles_come_and_go_at_their_commit() -> None:

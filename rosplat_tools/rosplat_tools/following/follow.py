@@ -34,7 +34,7 @@ from rosplat_tools.latched import LatchedSubscription
 
 SHOWING = 0.1  # least time between two looks for maps to be shown [s]
 REST = 2.0  # a map that takes a second to be shown is shown again so many seconds later
-WATCH = 5.0  # time between two looks for topics whose package isn't installed [s]
+WATCH = 1.0  # time between two looks for topics of other names [s]
 
 
 class Follow(Node):
@@ -63,39 +63,56 @@ class Follow(Node):
             self.get_logger().info(f"no path is given: waiting for {cloud}, or another topic")
         self._heard: dict[str, MapReader] = {}  # by topic, whose map is to be shown
         self._rests_until = 0.0  # of time.monotonic() [s]
-        self._missing = [kind for kind in map(foreign, TYPES) if not self._subscribe(kind)]
+        self._hears: dict[str, tuple[str, LatchedSubscription]] = {}  # with the type
+        self._unreadable: dict[str, str] = {}  # types, and why; empty once that is said
+        self._is_waiting = True
+        kinds = list(map(foreign, TYPES))
+        for kind in kinds:
+            self._subscribe(kind, self.resolve_topic_name(kind.TOPIC))
+        self._kinds = {kind.TYPE: kind for kind in kinds[1:]}  # most clouds are no maps
         self.create_timer(SHOWING, self._show_heard, clock=self._steady)
-        self._watch = self.create_timer(WATCH, self._name_missing, clock=self._steady)
+        self.create_timer(WATCH, self._look_for_topics, clock=self._steady)
 
-    def _subscribe(self, kind: Foreign) -> bool:
-        """Hears a foreign type's topic, if its package is installed."""
-        message = message_class(kind.TYPE)
-        if message is None:
-            return False
-        name = self.resolve_topic_name(kind.TOPIC)
-        reader = kind.Reader(name, self.get_logger().warning)
+    def _subscribe(self, kind: Foreign, topic: str) -> None:
+        """Hears a foreign type, in place of another that was expected on this topic."""
+        try:
+            message = message_class(kind.TYPE, kind.FIELDS)
+        except InputError as error:
+            self._unreadable[kind.TYPE] = str(error)
+            return
+        reader = kind.Reader(topic, self.get_logger().warning)
 
         def on_message(message: Any) -> None:
+            self._is_waiting = False
             try:
                 if reader.add(message):
-                    self._heard[name] = reader
+                    self._heard[topic] = reader
             except InputError as error:
                 self._refuse(error)
 
-        LatchedSubscription(self, message, kind.TOPIC, on_message, QoSProfile(depth=kind.DEPTH))
-        return True
+        if topic in self._hears:
+            self._hears.pop(topic)[1].close()
+        profile = QoSProfile(depth=kind.DEPTH)
+        heard = LatchedSubscription(self, message, topic, on_message, profile)
+        self._hears[topic] = kind.TYPE, heard
 
-    def _name_missing(self) -> None:
-        """Says once which topics are published whose messages can't be read here."""
-        for kind in list(self._missing):
-            topic = self.resolve_topic_name(kind.TOPIC)
+    def _look_for_topics(self) -> None:
+        """While nothing is heard, hears a topic of another name. Says once what can't be read."""
+        namespace = self.get_namespace().rstrip("/") + "/"
+        for topic, types in self.get_topic_names_and_types():
+            if not topic.startswith(namespace) or self._kinds.keys().isdisjoint(types):
+                continue
             for publisher in self.get_publishers_info_by_topic(topic):
-                if publisher.topic_type == kind.TYPE and kind in self._missing:
-                    self._missing.remove(kind)
-                    package = kind.TYPE.partition("/")[0]
-                    self.get_logger().warning(
-                        f"{topic}: not heard: {package}, which {kind.TYPE} is of, isn't installed"
-                    )
+                kind = self._kinds.get(publisher.topic_type)
+                if kind is None:
+                    continue
+                if (why := self._unreadable.get(kind.TYPE)) is not None:
+                    if why:
+                        self.get_logger().warning(f"{topic}: not heard: {why}")
+                    self._unreadable[kind.TYPE] = ""
+                elif self._is_waiting and self._hears.get(topic, ("",))[0] != kind.TYPE:
+                    self.get_logger().info(f"hearing {topic}, which is of {kind.TYPE}")
+                    self._subscribe(kind, topic)
 
     def _check_file(self) -> None:
         version = self._file.poll()

@@ -1,11 +1,12 @@
 """Maps in the messages of other packages: a module for each type, which reads and writes it.
 
 A module has
-- TYPE, TOPIC and DEPTH: the message, and how its own programs publish it;
+- TYPE, TOPIC and DEPTH: the message, and how its own programs publish it; FIELDS, which it needs;
 - Reader(name, warn), a MapReader;
 - messages(kind, splats, header): the messages of a whole map; kind makes an empty one.
 
-A type whose package isn't installed is neither heard nor sent, and said so.
+A type whose package isn't installed, or is of a release with other fields, is neither heard nor
+sent, and said so.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any, Protocol
 from std_msgs.msg import Header
 
 from rosplat_core.formats.decoded import Warn
-from rosplat_core.splats import Splats
+from rosplat_core.splats import InputError, Splats
 
 
 class MapReader(ABC):
@@ -45,6 +46,7 @@ class Foreign(Protocol):
     TYPE: str
     TOPIC: str
     DEPTH: int
+    FIELDS: tuple[str, ...]
     Reader: Callable[[str, Warn], MapReader]
     messages: Callable[[type, Splats, Header], Iterator[Any]]
 
@@ -65,10 +67,16 @@ def foreign(name: str) -> Foreign:
     return module
 
 
-def message_class(type_name: str) -> Any:
-    """The Python class of a message, "package/msg/Name"; None where its package isn't installed."""
+def message_class(type_name: str, fields: tuple[str, ...] = ()) -> Any:
+    """The Python class of a message, "package/msg/Name".
+
+    Raises InputError where its package isn't installed, or is of a release without these fields.
+    """
     package, _, name = type_name.split("/")
     try:
-        return getattr(import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError):  # an older release of the package lacks some
-        return None
+        found = getattr(import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError) as error:  # an older release of the package lacks some
+        raise InputError(f"{type_name} is of {package}, which isn't installed") from error
+    if lacking := [field for field in fields if field not in found.get_fields_and_field_types()]:
+        raise InputError(f"{type_name} has no {', '.join(lacking)} in this release of {package}")
+    return found

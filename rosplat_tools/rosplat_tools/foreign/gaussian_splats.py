@@ -22,6 +22,7 @@ from rosplat_tools.foreign import MapReader
 TYPE = "gaussian_splatting_msgs/msg/GaussianSplats"
 TOPIC = "gaussian_splats"
 DEPTH = 1
+FIELDS = ("type", "means", "sh_rest")
 
 
 class Reader(MapReader):

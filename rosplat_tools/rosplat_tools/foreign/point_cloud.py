@@ -33,6 +33,7 @@ _MOST_NUMBERS = 4096  # of a point; a splat has 62, features some hundreds
 TYPE = "sensor_msgs/msg/PointCloud2"
 TOPIC = "cloud"
 DEPTH = 1
+FIELDS = ("fields", "data")
 
 
 class Reader(MapReader):

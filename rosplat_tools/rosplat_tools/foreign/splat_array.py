@@ -22,6 +22,7 @@ from rosplat_tools.foreign.covariances import from_covariances, to_covariances
 TYPE = "gsplat_msgs/msg/SplatArray"
 TOPIC = "splat_array"
 DEPTH = 1
+FIELDS = ("splats",)
 
 
 class Reader(MapReader):

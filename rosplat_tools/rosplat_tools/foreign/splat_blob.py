@@ -27,6 +27,7 @@ from rosplat_tools.foreign.chunks import Chunks
 TYPE = "gsplat_msgs/msg/SplatBlobChunk"
 TOPIC = "gaussian_splat_blob_chunks"
 DEPTH = 1000  # of chunks, which make one map
+FIELDS = ("format", "data")
 
 CHUNK = 1 << 20  # of a message [bytes]
 

@@ -23,6 +23,7 @@ from rosplat_tools.foreign.chunks import Chunks
 TYPE = "gsplat_msgs/msg/SplatTileChunk"
 TOPIC = "gaussian_splat_tile_chunks"
 DEPTH = 100
+FIELDS = ("operation", "tile_x", "data")
 
 TILE = 1.0  # edge of a tile that is sent [m]
 CHUNK = 1 << 20  # of a message [bytes]

@@ -45,10 +45,7 @@ class Share(Node):
             self._publisher = None
         elif form in TYPES:
             self._kind = foreign(form)
-            self._message = message_class(self._kind.TYPE)
-            if self._message is None:
-                package = self._kind.TYPE.partition("/")[0]
-                raise InputError(f"as: {form} is of {package}, which isn't installed here")
+            self._message = message_class(self._kind.TYPE, self._kind.FIELDS)
             kept = DurabilityPolicy.TRANSIENT_LOCAL
             self._publisher = self.create_publisher(
                 self._message, self._kind.TOPIC, QoSProfile(depth=self._kind.DEPTH, durability=kept)
