@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter
 
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
+from rosplat_core.program.whole_numbers import whole_number
 from rosplat_core.splats import InputError
 from rosplat_ros.messages import COMPRESSIONS, NONE
 
@@ -26,8 +27,8 @@ def declare(
 ) -> Any:
     """Declares a read-only parameter, a number from low to high if given; returns its value.
 
-    A whole number is taken for a float. Raises InputError for no value, one of another type or one
-    out of range.
+    Raises InputError for no value, one that can't be meant for the default's type, or one out of
+    range.
     """
     descriptor = ParameterDescriptor(description=description, read_only=True)
     if low is not None and high is not None:
@@ -36,14 +37,38 @@ def declare(
         else:
             descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
     given = node._parameter_overrides  # no public function has them
-    if isinstance(default, float) and name in given and type(given[name].value) is int:
-        given[name] = Parameter(name, value=float(given[name].value))  # `-p rate:=10`
     try:
+        if name in given:
+            given[name] = Parameter(name, value=_meant(given[name].value, default))
         value = node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         raise InputError(str(error)) from error
+    except ValueError as error:
+        raise InputError(f"parameter {name}: {error}") from error
     if value is None:  # rclpy makes None of an empty list, whatever the type
         raise InputError(f"parameter {name}: has no value")
+    return value
+
+
+def _meant(value: Any, default: Any) -> Any:
+    """A value in the default's type, where a user may well give it in another."""
+    match default, value:
+        case (bool(), _) | (_, bool()):
+            return value
+        case float(), int():  # rate:=10
+            return float(value)
+        case [float(), *_], [int(), *_]:  # band:=[0, 2]
+            return list(map(float, value))
+        case int(), float() if value.is_integer():  # max_splats:=2e6
+            return int(value)
+        case int(), str():  # max_splats:=20k
+            return whole_number(value)
+        case str(), int() | float():  # detail:=2
+            return str(value)
+        case str(), [int() | float(), *_]:  # up:=[0, 0, 1]
+            return " ".join(map(str, value))
+        case [str(), *_], str():  # cameras:=left
+            return [value]
     return value
 
 
