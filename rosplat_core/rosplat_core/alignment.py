@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from rosplat_core.cameras import Camera
 from rosplat_core.quaternions import from_matrices, to_matrices
 from rosplat_core.rendering import CpuRenderer, posed
-from rosplat_core.splats import Splats
+from rosplat_core.splats import Splats, check_kind
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
@@ -129,6 +129,7 @@ def align(
 
 def _checked(picture: ArrayLike, camera: Camera, mask: ArrayLike | None) -> tuple[Pixels, Pixels]:
     """Colours of 0 to 1, and how much each pixel counts."""
+    check_kind(camera, Camera, "camera")
     if camera.orthographic:
         raise ValueError("camera: expected a perspective, got an orthographic one")
     pixels = np.asarray(picture)

@@ -24,7 +24,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.program.files import write_text
 from rosplat_core.quaternions import from_matrices, to_matrices
 from rosplat_core.rigid import rigid
-from rosplat_core.splats import InputError, Splats
+from rosplat_core.splats import InputError, Splats, check_kind
 
 _log = logging.getLogger(__name__)
 
@@ -210,8 +210,17 @@ def picture_of(path: Path, camera: Camera) -> Path | None:
     return folder / camera.image if camera.image else None
 
 
+def check_cameras(cameras: object) -> None:
+    """Raises TypeError for what is no sequence of cameras."""
+    if not isinstance(cameras, Sequence) or isinstance(cameras, str):
+        raise TypeError(f"cameras: expected several of Camera, got {type(cameras).__name__}")
+    for camera in cameras:
+        check_kind(camera, Camera, "camera")
+
+
 def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
     """Writes a camera file. Raises InputError when it can't be written."""
+    check_cameras(cameras)
     entries = [
         asdict(camera) | {"world_to_camera": camera.world_to_camera.tolist()} for camera in cameras
     ]
@@ -295,7 +304,9 @@ def orbit(
     """
     if not 0 < fov < math.pi:
         raise ValueError(f"fov is {fov}, expected 0 < fov < pi")
-    lower, upper = np.asarray(bounds, np.float64)
+    if np.shape(corners := np.array(bounds, dtype=object)) != (2, 3):
+        raise ValueError(f"bounds: expected two corners (2, 3), got {np.shape(corners)}")
+    lower, upper = corners.astype(np.float64)
     target = (lower + upper) / 2
     radius = max(float(np.linalg.norm(upper - lower)) / 2, 1e-6)
     distance = radius / math.sin(fov / 2)

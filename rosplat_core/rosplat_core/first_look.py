@@ -35,11 +35,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core import harmonics
-from rosplat_core.cameras import Camera, load_cameras, look_at
+from rosplat_core.cameras import Camera, check_cameras, load_cameras, look_at
 from rosplat_core.payload import PACKED, decode
 from rosplat_core.quaternions import from_matrices, product
 from rosplat_core.rendering import CpuRenderer, posed
-from rosplat_core.splats import InputError, PackedSplats, Splats
+from rosplat_core.splats import InputError, PackedSplats, Splats, check_splats, unit
 from rosplat_core.upright import find_up
 
 _log = logging.getLogger(__name__)
@@ -142,11 +142,13 @@ def first_view(
     up (3,): its vertical; by default that of the splats, or else by their ground. cameras: that
     took the scene.
     """
-    if up is None:
-        up = splats.up or find_up(sample(splats), cameras)
+    if not isinstance(splats, PackedSplats):
+        check_splats(splats)
+    check_cameras(cameras)
+    up = unit(splats.up or find_up(sample(splats), cameras) if up is None else up)
     if not len(splats):
         return FirstView(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]))
-    stage, began = _Stage(splats, np.asarray(up, np.float64)), time.monotonic()
+    stage, began = _Stage(splats, np.array(up)), time.monotonic()
     tried = _taken(stage, cameras) if cameras else _around(stage) + _amid(stage) + _within(stage)
     seen = []
     for look in _chosen(stage, tried):

@@ -11,7 +11,7 @@ from rosplat_core.depth import INVISIBLE, splat_extents
 from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.rendering import pose
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
-from rosplat_core.splats import Splats
+from rosplat_core.splats import Splats, check_splats
 from rosplat_core.view import SortView, unmoved
 
 
@@ -21,6 +21,7 @@ def depth_order(splats: Splats, camera: Camera, *, threads: int = 0) -> NDArray[
     threads: to sort with, 0 for as many as the machine runs at once. The same as depth.order to the
     bit. Raises CameraError for a camera that float32 can't hold.
     """
+    check_splats(splats)
     page = np.arange(-(-len(splats) // SLOTS_PER_PAGE), dtype=np.uint32)
     rows = len(page) * SLOTS_PER_PAGE
     positions = np.zeros((rows, 3), np.float32)

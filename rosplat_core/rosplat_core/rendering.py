@@ -19,7 +19,7 @@ from rosplat_core.cameras import Camera
 from rosplat_core.maps import REPLACE, UPSERT, batch_of, move_of
 from rosplat_core.models import Model
 from rosplat_core.slot_pages import SLOTS_PER_PAGE
-from rosplat_core.splats import Splats, check_splats
+from rosplat_core.splats import Splats, check_kind, check_splats
 from rosplat_core.view import frame_at
 
 ChannelColours = _core.ChannelColours
@@ -86,8 +86,8 @@ class CpuRenderer(_core.CpuRenderer):
         instructions of the processor to draw with, by default the best that it has. Raises
         ValueError for threads that are not 0 to 1024.
         """
-        if not 0 <= threads <= MOST_THREADS:
-            raise ValueError(f"threads is {threads}, expected 0 to {MOST_THREADS}")
+        if threads not in range(MOST_THREADS + 1):
+            raise ValueError(f"threads is {threads!r}, expected 0 to {MOST_THREADS}")
         super().__init__(threads, instructions)
         self._drawing = Lock()
         if splats is not None:
@@ -108,8 +108,6 @@ class CpuRenderer(_core.CpuRenderer):
         there is none. They hide the splats whose centres are behind them: the picture over a
         picture of the objects is one of both. Raises ValueError for depths that no object can have.
         """
-        if not isinstance(camera, Camera):
-            raise TypeError(f"camera: expected a Camera, got {type(camera).__name__}")
         colour: NDArray[np.float32] = self.draw(posed(camera), scene_depth=scene_depth)["colour"]
         return colour
 
@@ -163,6 +161,7 @@ def render(splats: Splats, camera: Camera) -> NDArray[np.float32]:
 def pose(camera: Camera) -> tuple[Any, ...]:
     """A camera's numbers, as SplatCamera and PosedCamera take them. Raises ValueError for a
     panorama, which lens_pictures.take_picture() draws."""
+    check_kind(camera, Camera, "camera")
     if camera.model:
         raise ValueError(f"camera {camera.id}: {camera.model} has no pinhole picture")
     return (

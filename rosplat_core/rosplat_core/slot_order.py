@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import _core
-from rosplat_core.splats import Splats
+from rosplat_core.splats import Splats, check_splats
 
 _BITS = 21  # of each axis, in a code of 64
 
@@ -38,6 +38,7 @@ def slot_order(splats: Splats) -> NDArray[np.intp]:
     Large splats come first; those of one size, within a factor of four, are in space order.
     Raises ValueError for a position that isn't finite.
     """
+    check_splats(splats)
     if not np.isfinite(splats.positions).all():
         raise ValueError("positions: expected finite numbers")
     return order_by_size(splats.positions, splats.scales.max(axis=1, initial=0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -121,8 +122,8 @@ class Splats:
         lose of them.
         """
         object.__setattr__(self, "model", Model.of(self.model))
-        n = len(self.positions)
-        positions = np.asarray(self.positions)
+        positions = _given("positions", self.positions)
+        n = len(positions) if positions.ndim else 0
         if positions.dtype != np.float32 and positions.shape == (n, 3):
             near, shift = rebase(positions)
             object.__setattr__(self, "positions", near)
@@ -139,17 +140,22 @@ class Splats:
         for name, shape in shapes.items():
             dtype = np.float64 if name == "origin" else np.float32
             with np.errstate(over="ignore"):  # to infinity: publishers drop such splats and warn
-                array = np.ascontiguousarray(getattr(self, name), dtype)
+                array = np.ascontiguousarray(_given(name, getattr(self, name)), dtype)
             if array.shape != shape:
                 raise ValueError(f"Splats.{name}: expected shape {shape}, got {array.shape}")
             object.__setattr__(self, name, array)
         if not np.isfinite(self.origin).all():
             raise ValueError(f"Splats.origin: not finite: {self.origin.tolist()}")
         if self.up is not None:
-            object.__setattr__(self, "up", _unit(self.up))
+            object.__setattr__(self, "up", unit(self.up))
+        if not isinstance(self.channels, Mapping):
+            raise TypeError(
+                f"Splats.channels: expected {{name: values}}, got {self.channels!r:.40}"
+            )
         joined((), tuple(self.channels))
         channels = {
-            name: np.ascontiguousarray(values, np.float32) for name, values in self.channels.items()
+            name: np.ascontiguousarray(_given(f"channels['{name}']", values), np.float32)
+            for name, values in self.channels.items()
         }
         for name, values in channels.items():
             if values.shape != (n,):
@@ -180,6 +186,8 @@ class Splats:
 
     def __getitem__(self, index: slice | NDArray[np.integer] | NDArray[np.bool_]) -> Splats:
         """The splats that a slice, an index array or a mask picks."""
+        if isinstance(index, Integral):
+            raise TypeError(f"Splats: a slice picks splats, such as [{index}:{int(index) + 1}]")
         return replace(
             self,
             positions=self.positions[index],
@@ -217,6 +225,8 @@ class Splats:
 
     def with_sh_degree(self, degree: int) -> Splats:
         """The same splats with bands cut off, or zero bands added, to a degree of 0 to 3."""
+        if degree not in range(MAX_SH_DEGREE + 1):
+            raise ValueError(f"degree is {degree!r}, expected 0 to {MAX_SH_DEGREE}")
         k = sh_coefficients(degree)
         missing = max(0, k - self.sh.shape[1])
         return replace(self, sh=np.pad(self.sh[:, :k], ((0, 0), (0, missing), (0, 0))))
@@ -272,11 +282,16 @@ class PackedSplats:
         return (self.rows, *self.channels.values())
 
 
+def check_kind(value: object, kind: type, name: str) -> None:
+    """Raises TypeError, which begins with name, for a value of another kind."""
+    if not isinstance(value, kind):
+        hint = "; rosplat_core.load reads a file" if kind is Splats else ""
+        raise TypeError(f"{name}: expected {kind.__name__}, got {type(value).__name__}{hint}")
+
+
 def check_splats(splats: object, name: str = "splats") -> None:
-    """Raises TypeError, which begins with name, for what is no Splats."""
-    if not isinstance(splats, Splats):
-        kind = type(splats).__name__
-        raise TypeError(f"{name}: expected Splats, got {kind}; rosplat_core.load reads a file")
+    """As check_kind."""
+    check_kind(splats, Splats, name)
 
 
 def untransformed(scales: NDArray[np.floating[Any]], opacities: NDArray[Any]) -> list[str]:
@@ -304,14 +319,25 @@ def _shaped(name: str, array: ArrayLike, *shapes: tuple[int, ...]) -> NDArray[np
     return values
 
 
-def _unit(up: ArrayLike) -> tuple[float, float, float]:
+def unit(up: ArrayLike) -> tuple[float, float, float]:
     """A vertical of any length as a unit vector. Raises ValueError for none."""
-    vector = np.asarray(up, np.float64)
+    try:
+        vector = np.asarray(up, np.float64)
+    except (TypeError, ValueError):
+        vector = np.zeros(0)
     length = np.linalg.norm(vector)
     if vector.shape != (3,) or not 0 < length < np.inf:
-        raise ValueError(f"Splats.up: expected three numbers, not all 0, got {up!r}")
+        raise ValueError(f"up: expected three numbers, not all 0, got {up!r}")
     x, y, z = (vector / length).tolist()
     return (x, y, z)
+
+
+def _given(name: str, array: ArrayLike) -> NDArray[np.floating[Any]]:
+    """As _host. Raises ValueError, naming the field, for what is no array of numbers."""
+    try:
+        return _host(array)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"Splats.{name}: {error}") from error
 
 
 def _host(array: ArrayLike) -> NDArray[np.floating[Any]]:
@@ -360,6 +386,8 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
     """
     if not parts:
         raise ValueError("nothing to concatenate")
+    for part in parts:
+        check_splats(part, "parts")
     if len(models := {part.model for part in parts}) > 1:
         told = " and ".join(map(str, sorted(models)))
         raise ValueError(f"can't join splats of the models {told}: they are drawn differently")

@@ -282,7 +282,7 @@ def test_a_map_is_told_in_a_line(random_splats: Make) -> None:
 
 @pytest.mark.parametrize("up", [(0, 0, 0), (1, 2), (np.nan, 0, 1)])
 def test_a_vertical_has_a_direction(random_splats: Make, up: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match=r"Splats\.up: expected three numbers"):
+    with pytest.raises(ValueError, match=r"up: expected three numbers"):
         replace(random_splats(1), up=up)
 
 
@@ -321,5 +321,5 @@ def test_what_is_no_splats_is_told(tmp_path: Path) -> None:
     ):
         with pytest.raises(TypeError, match="splats: expected Splats, got ndarray"):
             call()
-    with pytest.raises(TypeError, match="camera: expected a Camera, got ndarray"):
+    with pytest.raises(TypeError, match="camera: expected Camera, got ndarray"):
         rosplat_core.CpuRenderer().render(array)

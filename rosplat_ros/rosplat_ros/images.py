@@ -11,7 +11,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from rosplat_core.log_text import shown
-from rosplat_core.splats import InputError
+from rosplat_core.splats import InputError, check_kind
 from rosplat_ros.messages import as_array
 
 # By encoding, of 8 bits a channel: number of channels, and indices of red, green and blue.
@@ -41,6 +41,7 @@ def to_bytes(colours: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 def from_image(image: Image) -> NDArray[np.uint8]:
     """RGB (height, width, 3) of a message. Raises ValueError, naming the field."""
+    check_kind(image, Image, "image")
     if image.encoding not in _ENCODINGS:
         known = ", ".join(_ENCODINGS)
         raise ValueError(f"encoding is '{shown(image.encoding, 40)}', known are {known}")

@@ -23,7 +23,7 @@ from std_msgs.msg import Header
 from rosplat_core.bounded_map import BoundedMap
 from rosplat_core.cameras import Camera
 from rosplat_core.maps import PublishedBatch, PublishedMap
-from rosplat_core.splats import PackedSplats, Splats, check_splats, concatenate
+from rosplat_core.splats import PackedSplats, Splats, check_kind, check_splats, concatenate
 from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
@@ -92,6 +92,7 @@ class MapPublisher:
         receivers hold, by default all. Raises ValueError for an unknown compression, a chunk_bytes
         under 1, or a budget that isn't 1 to MAX_SLOTS.
         """
+        check_kind(node, Node, "node")
         self._node = node
         self._topic = node.resolve_topic_name(topic)
         self._wire = _Wire(node, topic)
@@ -294,8 +295,7 @@ class MapPublisher:
         has. Call it with each frame: cameras are passed over where they would take more than a
         quarter of the time. Raises ValueError if the publisher has no budget.
         """
-        if not isinstance(camera, Camera):
-            raise TypeError(f"camera: expected a rosplat_core.Camera, got {type(camera).__name__}")
+        check_kind(camera, Camera, "camera")
         bounded, now = self._bounded(), time.monotonic()
         if not bounded.look_from(camera) or now < self._told_budget + TELL_BUDGET_EVERY:
             return

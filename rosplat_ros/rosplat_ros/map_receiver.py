@@ -17,6 +17,7 @@ from rclpy.task import Future
 
 from rosplat_core.log_text import shown
 from rosplat_core.maps import Arrival, MapPull, MapQos, choose_map_qos
+from rosplat_core.splats import check_kind
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap
 from rosplat_ros.batches import array_bytes
@@ -49,6 +50,7 @@ class MapReceiver:
         but for a REPLACE; others wait in the middleware. most_sh_degree: pulled batches have no
         harmonics above this degree.
         """
+        check_kind(node, Node, "node")
         self._node, self._on_batch, self._busy = node, on_batch, busy
         self._most_sh_degree = most_sh_degree
         self.topic = node.resolve_topic_name("gaussians")

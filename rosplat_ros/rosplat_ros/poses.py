@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.rigid import rigid
+from rosplat_core.splats import check_kind
 from rosplat_core.view import frame_at
 from rosplat_ros.batches import pose_values
 
@@ -56,4 +57,5 @@ def to_quaternion(values: Iterable[float]) -> Quaternion:
 
 def to_matrix(pose: Pose) -> NDArray[np.float64]:
     """The rigid transform (4, 4) of a pose."""
+    check_kind(pose, Pose, "pose")
     return frame_at(*pose_values(pose))

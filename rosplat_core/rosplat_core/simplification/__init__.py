@@ -8,7 +8,7 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from rosplat_core.cameras import Camera
+from rosplat_core.cameras import Camera, check_cameras
 from rosplat_core.formats.decoded import Columns, told_drops, usable
 from rosplat_core.program.progress import watched_tasks
 from rosplat_core.splats import InputError, Splats, check_splats
@@ -41,6 +41,7 @@ def simplify(
     from rosplat_core.simplification.search import Simplification  # scipy takes its time
 
     check_splats(splats, "simplify: splats")
+    check_cameras(() if cameras is None else cameras)
     for name, value, kind, expected in (
         ("max_splats", max_splats, Integral, "a whole number"), ("psnr", psnr, Real, "dB"),
         ("margin", margin, Real, "metres"), ("refine", refine, Real, "seconds"),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.slot_order import slot_order
-from rosplat_core.splats import Splats
+from rosplat_core.splats import Splats, check_splats
 from rosplat_ros.map_publisher import MapPublisher
 
 _DRAWN = ("positions", "orientations", "scales", "opacities", "sh")
@@ -45,6 +45,7 @@ class WholeMaps:
         ids: (n,) integers that identify splats from map to map, by default their rows. Raises
         ValueError if an id is there twice, and what MapPublisher raises.
         """
+        check_splats(splats)
         ids = _checked(np.arange(len(splats)) if ids is None else np.asarray(ids), len(splats))
         rows = np.argsort(ids)
         ids = ids[rows]
