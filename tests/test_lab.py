@@ -14,6 +14,7 @@ from urllib.parse import quote
 
 import pytest
 
+from rosplat_lab.bench.command import SUBJECTS
 from rosplat_lab.bench.records import load
 from rosplat_lab.lab import pages
 from rosplat_lab.lab.points import Point, frontier, points
@@ -128,6 +129,12 @@ def test_a_scene_that_is_not_there_is_named(tmp_path: Path) -> None:
     )
     assert run.returncode == 1
     assert run.stderr == "lab: nowhere.ply: No such file or directory\n"
+
+
+def test_every_record_of_the_documents_can_be_measured_anew() -> None:
+    """By a subject of bench, or by the laboratory."""
+    for path in (DOCS / "results").rglob("*.json"):
+        assert {record.subject for record in load([path])} <= {*SUBJECTS, "lab", "atlas"}, path
 
 
 def test_records_name_a_commit_before_this_one_and_pages_name_it() -> None:
