@@ -32,7 +32,6 @@ from rosplat_lab.bench.records import (
     Record,
     RecordError,
     Skipped,
-    load,
     save,
 )  # fmt: skip
 from rosplat_lab.bench.renderers import RENDERERS
@@ -87,29 +86,12 @@ def main(arguments: list[str] | None = None) -> int:
     if not console.is_terminal:
         console = Console(width=WIDTH)
     try:
-        if arguments[:1] == ["charts"]:
-            return _draw(arguments[1:], console)
         return _measure(arguments, console)
     except BrokenPipeError as error:  # of rich before 13.8
         unheard(error)
     except (InputError, RecordError, OSError) as error:
         print(f"bench: {told(error)}", file=sys.stderr)
         return 1
-
-
-def _draw(arguments: list[str], console: Console) -> int:
-    parser = argparse.ArgumentParser(prog="bench charts", description="Draws charts of records.")
-    parser.add_argument("files", nargs="+", type=Path, help="JSON files that bench wrote")
-    parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder for the charts")
-    parser.add_argument(
-        "--of", default="p50", choices=STATISTICS, help="what is drawn (default: the median)"
-    )
-    options = parser.parse_args(arguments)
-    records = load(options.files)
-    if not records:
-        raise RecordError(f"{', '.join(map(str, options.files))}: no records")
-    _chart(records, options.out, console, options.of)
-    return 0
 
 
 def _measure(arguments: list[str], console: Console) -> int:
@@ -154,7 +136,6 @@ def _measure(arguments: list[str], console: Console) -> int:
             if recorder.records:
                 console.print(*tables(recorder.records))
                 console.print(f"wrote {recorder.path}", markup=False, soft_wrap=True)
-                _chart(recorder.records, options.out, console)
     return int(failed)
 
 
@@ -178,9 +159,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="bench",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog=f"subjects:\n{subjects}\n\n"
-        "`bench charts FILES...` draws the charts of records again. Ctrl-C ends a run and keeps\n"
-        "what was measured.",
+        epilog=f"subjects:\n{subjects}\n\nCtrl-C ends a run and keeps what was measured.",
     )
     parser.add_argument(
         "subjects", nargs="*", metavar="SUBJECT", type=_subject,
@@ -190,7 +169,7 @@ def _parser() -> argparse.ArgumentParser:
         "--quick", action="store_true", help="small maps, few repetitions: 2 minutes"
     )
     parser.add_argument(
-        "--out", type=Path, default=Path("out/bench"), help="folder for JSON, charts and logs"
+        "--out", type=Path, default=Path("out/bench"), help="folder for JSON and logs"
     )
     parser.add_argument(
         "--sizes", type=sized("number of splats"), nargs="+", default=[], metavar="N",
@@ -301,13 +280,3 @@ def _text(value: object) -> str:
     if isinstance(value, float):
         return f"{value:,.4g}" if abs(value) < 1e4 else f"{value:,.0f}"
     return str(value)
-
-
-def _chart(records: list[Record], out: Path, console: Console, statistic: str = "p50") -> None:
-    try:
-        from rosplat_lab.bench import charts
-    except ImportError as error:
-        console.print(f"[yellow]charts skipped: {escape(str(error))}")
-        return
-    for path in charts.draw(records, out, statistic):
-        console.print(f"wrote {path}", markup=False, soft_wrap=True)
