@@ -18,7 +18,7 @@ def _program(name: str) -> tuple[str, str]:
 @pytest.mark.parametrize(
     "command",
     [(*_program("inspect"), "procedural:10"), (*_program("generate"), "made.ply", "--count", "9"),
-     ("-m", "rosplat_lab.bench", *["sort", "--sizes", "9", "--seconds", "0", "--backends", "numpy"])],
+     ("-m", "rosplat_lab.bench", "sort", "--sizes", "9", "--seconds", "0", "--backends", "numpy")],
 )  # fmt: skip
 def test_nothing_is_said_where_nobody_reads(command: tuple[str, ...], tmp_path: Path) -> None:
     reading, writing = os.pipe()

@@ -15,7 +15,6 @@ from rclpy.node import Node
 
 from rosplat_msgs.srv import PullMap
 from rosplat_ros.diagnostics import Diagnostics, Report
-from rosplat_ros.program.spinning import spin_until
 
 Serve = Callable[[PullMap.Request, PullMap.Response], PullMap.Response]
 
@@ -60,7 +59,9 @@ class ServiceThread:
 
     def _run(self) -> None:
         try:
-            spin_until(self._executor, self._ended)
+            # spin_until_future_complete would keep a function for each callback that it ever ran.
+            while self._node.context.ok() and not self._ended.is_set():
+                self._executor.spin_once()
         except ExternalShutdownException:
             pass
         except InvalidHandle:

@@ -8,28 +8,22 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import sys
 import time
 from threading import Event
 
-import rclpy
-from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from rosplat_core.splats import InputError
 from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_ros import qos
 from rosplat_ros.diagnostics import Diagnostics, Report
 from rosplat_ros.map_receiver import MapReceiver
-from rosplat_ros.program.arguments import take_ros_arguments_only
-from rosplat_ros.program.memory import give_back_large_blocks
-from rosplat_ros.program.middleware import prepare_fast_dds
-from rosplat_ros.program.mistakes import Mistakes
-from rosplat_ros.program.spinning import spin_until
+from rosplat_ros.program.parameters import declare
+from rosplat_ros.program.running import run, spinning
 from rosplat_sorter.backends import AUTO, BACKENDS
 from rosplat_sorter.order_slots import pack
 from rosplat_sorter.worker import Answer, Worker
@@ -80,25 +74,12 @@ class SorterNode(Node):
         self._at_work: _AtWork | None = None  # first: since Kilted, half-made nodes are destroyed
         super().__init__("sorter")
         self._said: dict[str, float] = {}
-        self.declare_parameter(
-            "backend",
-            AUTO,
-            ParameterDescriptor(
-                description="What sorts; auto takes the fastest backend that works here.",
-                additional_constraints="One of " + ", ".join(CHOICES),
-            ),
-        )
-        self.declare_parameter(
-            "threads",
-            0,
-            ParameterDescriptor(
-                description="Threads of a backend on the CPU; 0: one for each core.",
-                integer_range=[IntegerRange(from_value=0, to_value=256, step=1)],
-            ),
-        )
-        backend: str = self.get_parameter("backend").value
+        about = f"What sorts: {', '.join(CHOICES)}; auto takes the fastest that works here."
+        backend = declare(self, "backend", AUTO, about, changes=True)
+        about = "Threads of a backend on the CPU; 0: one for each core."
+        declare(self, "threads", 0, about, 0, 256, changes=True)
         if backend not in CHOICES:
-            raise InvalidParameterValueException("backend", backend, _unknown(backend))
+            raise InputError(_unknown(backend))
         # Remapping the map's topic takes the others along.
         topic = self.resolve_topic_name("gaussians")
         self._order = self.create_publisher(
@@ -113,7 +94,6 @@ class SorterNode(Node):
             ViewCamera, f"{topic}/view", self._on_view, **qos.overridable(qos.VIEW)
         )
         Diagnostics(self, topic, self._report)
-        Mistakes(self)
         self.get_logger().info(f"waits for a view that wants an order, on {topic}/view")
 
     def destroy_node(self) -> None:
@@ -165,18 +145,19 @@ class SorterNode(Node):
             self._order.publish(message)
 
     def inform(self, subject: str, text: str) -> None:
-        if self._may_say(f"info {subject}"):
+        if self._take_turn(f"info {subject}"):
             self.get_logger().info(text)
 
     def warn(self, subject: str, text: str) -> None:
-        if self._may_say(subject):
+        if self._take_turn(subject):
             self.get_logger().warning(text)
 
     def pull_again(self) -> None:
         if self._at_work:
             self._at_work.pull_again()
 
-    def _may_say(self, subject: str) -> bool:
+    def _take_turn(self, subject: str) -> bool:
+        """Returns whether a subject may be logged now; it then rests."""
         now = time.monotonic()
         silent = now - self._said.get(subject, -THROTTLE) < THROTTLE
         if not silent:
@@ -221,39 +202,14 @@ def _begin_anew(parameters: list[str]) -> None:
 
 def main() -> None:
     """Runs the node until it is told to end; exit code 1 where a parameter makes no sense."""
-    take_ros_arguments_only("sorter", __doc__, lambda: SorterNode().destroy_node())
-    give_back_large_blocks()
-    prepare_fast_dds(sends_maps=False)
-    # ROS's own handlers end it: a KeyboardInterrupt could come in the middle of an import.
-    signal.signal(signal.SIGINT, lambda *_: None)
-    try:
-        try:
-            rclpy.init()
-        except RuntimeError as error:  # of ROS_DOMAIN_ID, say
-            print(f"sorter: {error}", file=sys.stderr)
-            sys.exit(1)
-        # The executor first: if ROS has ended, rclpy (up to Jazzy) prints a traceback for one.
-        executor = SingleThreadedExecutor()
-        node = SorterNode()
-        try:
-            executor.add_node(node)
-            spin_until(executor, node.unwanted)
-        finally:
-            node.destroy_node()
-        if node.unwanted.is_set():
-            rclpy.try_shutdown()
-            _begin_anew([f"{name}:={node.get_parameter(name).value}" for name in SETTINGS])
-    except ExternalShutdownException:
-        pass
-    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-        print(f"sorter: {error}", file=sys.stderr)
-        sys.exit(1)
-    except RuntimeError as error:  # of a QoS override, say
-        if rclpy.ok():
-            print(f"sorter: {error}", file=sys.stderr)
-            sys.exit(1)
-    except Exception:
-        if rclpy.ok():  # else it was told to end while it began
-            raise
-    finally:
-        rclpy.try_shutdown()
+    run("sorter", _sort, sends_maps=False)
+
+
+def _sort() -> None:
+    node = SorterNode()
+    with spinning(node):
+        while node.context.ok() and not node.unwanted.wait(0.1):
+            pass
+        settings = [f"{name}:={node.get_parameter(name).value}" for name in SETTINGS]
+    if node.unwanted.is_set():
+        _begin_anew(settings)

@@ -24,13 +24,15 @@ def declare(
     description: str,
     low: float | None = None,
     high: float | None = None,
+    *,
+    changes: bool = False,
 ) -> Any:
-    """Declares a read-only parameter, a number from low to high if given; returns its value.
+    """Declares a parameter, a number from low to high if given; returns its value.
 
-    Raises InputError for no value, one that can't be meant for the default's type, or one out of
-    range.
+    changes: whether it may be set later, else it is read-only. Raises InputError for no value, one
+    that can't be meant for the default's type, or one out of range.
     """
-    descriptor = ParameterDescriptor(description=description, read_only=True)
+    descriptor = ParameterDescriptor(description=description, read_only=not changes)
     if low is not None and high is not None:
         if isinstance(default, int):
             descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]

@@ -50,13 +50,14 @@ class Cancelled(Exception):
     """What a progress callback raises to end the work."""
 
 
-def run(program: str, body: Callable[[], None]) -> None:
+def run(program: str, body: Callable[[], None], *, sends_maps: bool = True) -> None:
     """Runs body with ROS set up until it returns, or SIGINT or SIGTERM interrupts it.
 
     A InputError, RuntimeError, OSError or MemoryError ends the program by a line, with code 1, as
-    does a parameter of a wrong type, even use_sim_time, which rclpy reads.
+    does a parameter of a wrong type, even use_sim_time, which rclpy reads. sends_maps: as of
+    prepare_fast_dds.
     """
-    _run(program, body, body.__module__)
+    _run(program, body, body.__module__, sends_maps=sends_maps)
 
 
 def run_node(
@@ -79,10 +80,12 @@ def run_node(
     _run(program, body, make.__module__, usage)
 
 
-def _run(program: str, body: Callable[[], None], module: str, usage: str = "") -> None:
+def _run(
+    program: str, body: Callable[[], None], module: str, usage: str = "", sends_maps: bool = True
+) -> None:
     take_ros_arguments_only(program, sys.modules[module].__doc__, body, usage)
     give_back_large_blocks()
-    prepare_fast_dds()
+    prepare_fast_dds(sends_maps=sends_maps)
     try:
         # rclpy's own handlers shut ROS down under code that is just using it.
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

@@ -43,8 +43,9 @@ class Chunks:
             )
         return payload
 
-    def incomplete(self, belongs: Any) -> bool:
-        """Whether a payload whose key belongs(key) names lacks a chunk. Forgets those payloads."""
+    def drop(self, belongs: Any) -> bool:
+        """Forgets payloads that lack a chunk, whose key belongs(key) names; returns whether there
+        were any."""
         lacking = [key for key in self._coming if belongs(key)]
         for key in lacking:
             del self._coming[key]

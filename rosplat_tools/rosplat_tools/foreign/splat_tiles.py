@@ -76,7 +76,7 @@ class Reader(MapReader):
 
     def _commit(self, version: tuple[str, int], message: Any) -> bool:
         edits = self._waiting.pop(version, [])
-        if self._chunks.incomplete(lambda key: key[0] == version):
+        if self._chunks.drop(lambda key: key[0] == version):
             raise InputError(
                 f"{self._name}: version {version[1]} is committed, and tiles lack chunks"
             )

@@ -182,16 +182,16 @@ class Occupancy(Node):
             self._follow_frames()
         except FrameError as error:
             return str(error)
-        if not self._fits():
+        if not self._make_fit():
             return (
                 f"the map takes more than {self._voxels.most:,} voxels, choose a coarser "
                 "`resolution` or a smaller `size`"
             )
         return ""
 
-    def _fits(self) -> bool:
-        """Whether the map's voxels fit. A map that was too large is tried again once many of its
-        splats are gone, not after each edit: each try takes up to a minute.
+    def _make_fit(self) -> bool:
+        """Tries a map that was too large again once many of its splats are gone, not after each
+        edit: each try takes up to a minute. Returns whether the map's voxels fit.
         """
         splats = self._map.books.splats
         if self._voxels.full and splats <= SHRUNK * self._splats_when_full:

@@ -145,7 +145,7 @@ class Simulate(Node):
         while self.context.ok():
             with self._lock:
                 self._map.apply_waiting()
-                passes = self._is_placed() and (not self._paused or self._steps > 0)
+                passes = self._place() and (not self._paused or self._steps > 0)
                 if passes:
                     self._tick()
             now = time.monotonic()
@@ -186,8 +186,8 @@ class Simulate(Node):
 
     # --- The robot in the map ---------------------------------------------------------------------
 
-    def _is_placed(self) -> bool:
-        """Whether the robot is in a whole map; puts it there once there is one."""
+    def _place(self) -> bool:
+        """Puts the robot into the map once that is whole; returns whether it is there."""
         if self._outdated:  # dropped here: OpenGL's objects are this thread's
             self._scene, self._outdated = None, False
         if self._scene:

@@ -275,8 +275,8 @@ class Viewer(Node):
     def _wants_orders(self) -> bool:
         return bool(self.renderer.settings.order == OrderSource.SIDECAR)
 
-    def _answered(self, view_id: str) -> bool:
-        """Uploads what waits; whether the sorter's order is then of the view's newest camera."""
+    def _upload_for(self, view_id: str) -> bool:
+        """Uploads what waits; returns whether the sorter's order is of the view's newest camera."""
         self.renderer.upload(all=True)
         return bool(self.renderer.has_order(view_id))
 
@@ -295,7 +295,7 @@ class Viewer(Node):
         answered = False
         while (
             self._wants_orders()
-            and not (answered := self._answered(view_id))
+            and not (answered := self._upload_for(view_id))
             and time.monotonic() < deadline
         ):
             if not self.context.ok():

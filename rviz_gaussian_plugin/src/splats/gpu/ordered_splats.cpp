@@ -57,7 +57,7 @@ void OrderedSplats::takeOrder(const OrderPtr& order) {
 
 void OrderedSplats::putInOrder(std::uint32_t capacity) {
   const std::size_t bytes = std::max(projection_.room(), most()) * sizeof(GLuint);
-  if (drawn_used_.wastes(bytes)) drawn_.release();
+  if (drawn_used_.noteUse(bytes)) drawn_.release();
   drawn_.reserve(bytes, order_ ? bytes / 8 : 0);
   if (!order_) return sort_.order(projection_.seen(), most(), expected(), key_bits_, drawn_);
   if (order_->slots.empty()) return;

@@ -51,7 +51,7 @@ void Projection::prepare(const Frame& frame, double growth) {
   groups_.upload(views);
   maps_.upload(maps);
   const Shapes shapes = frame.shapes();
-  if (Shaders::ellipseBytes(shapes) != Shaders::ellipseBytes(shapes_) || used_.wastes(slots())) {
+  if (Shaders::ellipseBytes(shapes) != Shaders::ellipseBytes(shapes_) || used_.noteUse(slots())) {
     release();
   }
   shapes_ = shapes;

@@ -36,25 +36,25 @@ RadixSort::RadixSort(Shaders& shaders)
 }
 
 bool RadixSort::check() {
-  if (sortsInSomeWarps()) return true;
+  if (chooseWarps()) return true;
   if (!shaders_.groupsWait()) return false;
   shaders_.giveUpWaiting();
-  return sortsInSomeWarps();
+  return chooseWarps();
 }
 
-bool RadixSort::sortsInSomeWarps() {
+bool RadixSort::chooseWarps() {
   lost_ballots_ = false;
   for (const int lanes : {kLanes, kFewLanes}) {
     if (!shaders_.subgroups()) break;
     scatter_ = &shaders_.computeInWarps(kScatter, lanes, true);
-    if (sortsRight()) return true;
+    if (sortAndCompare()) return true;
   }
   lost_ballots_ = shaders_.subgroups();
   scatter_ = &shaders_.computeInWarps(kScatter, kFewLanes, false);
-  return sortsRight();
+  return sortAndCompare();
 }
 
-bool RadixSort::sortsRight() {
+bool RadixSort::sortAndCompare() {
   // Three full blocks and a part of one; each key about six times, with the top bits of depths; a
   // seventh of them to be left out.
   constexpr std::size_t kKeys = 3 * kBlock + 1000;
@@ -104,7 +104,7 @@ bool RadixSort::sortsRight() {
 }
 
 void RadixSort::reserve(std::size_t count) {
-  if (room_.wastes(count)) {
+  if (room_.noteUse(count)) {
     for (gl::Buffer* buffer : {&keys_, &next_keys_, &values_, &sums_}) buffer->release();
   }
   for (gl::Buffer* buffer : {&keys_, &next_keys_, &values_}) {

@@ -56,8 +56,8 @@ class RadixSort {
   // count: 0: as `seen` has it; no key is kNone, and they have values.
   void run(const gl::Slice& seen, std::size_t count, std::size_t expected, int bits,
            const gl::Buffer& sorted);
-  bool sortsInSomeWarps();
-  bool sortsRight();
+  bool chooseWarps();
+  bool sortAndCompare();
 
   Shaders& shaders_;
   bool lost_ballots_ = false;

@@ -28,7 +28,7 @@ constexpr std::size_t likely(std::size_t count, std::size_t room) {
 class UsageTracker {
  public:
   // Notes a use. Returns true if, for kPatience uses, less than a quarter of the room was needed.
-  bool wastes(std::size_t needed) {
+  bool noteUse(std::size_t needed) {
     size_ = std::max(size_, needed);
     most_ = std::max(most_, needed);
     if (++uses_ < kPatience) return false;

@@ -123,7 +123,7 @@ bool TileRasterizer::checkRoom(const Wanted& wanted, double growth) {
   const auto adapt = [&](std::size_t& room, UsageTracker& used, std::size_t need,
                          std::size_t most) {
     const bool lacks = need > room;
-    if (used.wastes(need) || lacks) room = std::min(withSlack(need, growth), most);
+    if (used.noteUse(need) || lacks) room = std::min(withSlack(need, growth), most);
     enough = enough && !lacks;
   };
   adapt(room_.macro_pairs, macro_pairs_used_, needed.macro_pairs, most_.macro_pairs);
