@@ -34,6 +34,12 @@ package_tests() { # one run for each
   done
   return $failed
 }
+most_packages() {
+  local failed=0
+  cpp_tests || failed=1
+  package_tests rviz_gaussian_plugin rosplat_lab rosplat_core rosplat_ros rosplat_sorter || failed=1
+  return $failed
+}
 cross_tests() {
   python -m pytest -q --rootdir .. --config-file ../pyproject.toml -rs . "$@"
 }
@@ -56,8 +62,8 @@ beside() {
   set +m
   runs+=($!)
 }
-beside cpp_tests
-beside package_tests rviz_gaussian_plugin rosplat_lab rosplat_core rosplat_ros rosplat_sorter rosplat_tools
+beside most_packages
+beside package_tests rosplat_tools # which take as long
 if [ -n "$rviz" ]; then beside cross_tests -m rviz "$@"; fi
 failed=0
 cross_tests -m 'not rviz' "$@" || failed=1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -27,7 +28,7 @@ def said(*words: str) -> str:
     return done.stdout + done.stderr
 
 
-def said_at_last(expected: str, *words: str) -> str:
+def said_at_last(expected: str, words: tuple[str, ...]) -> str:
     """What the command prints once that has what is expected: a loaded machine discovers slowly."""
     end = time.monotonic() + PATIENCE
     while expected not in (printed := said(*words)) and time.monotonic() < end:
@@ -49,16 +50,21 @@ def test_topics_nodes_and_parameters_are_told() -> None:
     node = Node("told")
     declare(node, "size", 7, "How large it is. [m]", 1, 9)
     publisher = node.create_publisher(Float64MultiArray, "numbers", 1)
-    with spinning(node):
+    asked = {
+        ("topic", "list", "-t"): "/numbers [std_msgs/msg/Float64MultiArray]",
+        ("node", "list"): "/told",
+        ("param", "list", "told"): "size",
+        ("param", "get", "/told", "size"): "7",
+        ("param", "describe", "told", "size"): "How large it is. [m]",
+        ("param", "get", "told", "none"): "has no parameter",
+        ("topic", "echo", "--once", "/numbers"): "data: <20 elements>",
+    }
+    with spinning(node), ThreadPoolExecutor(len(asked)) as pool:  # each waits for what is there
         node.create_timer(0.1, lambda: publisher.publish(Float64MultiArray(data=[1.0] * 20)))
-        said_at_last("/numbers [std_msgs/msg/Float64MultiArray]", "topic", "list", "-t")
-        said_at_last("/told", "node", "list")
-        assert "size" in said_at_last("size", "param", "list", "told").splitlines()
-        assert said_at_last("7", "param", "get", "/told", "size") == "7\n"
-        said_at_last("How large it is. [m]", "param", "describe", "told", "size")
-        said_at_last("has no parameter", "param", "get", "told", "none")
-        echoed = said_at_last("data: <20 elements>", "topic", "echo", "--once", "/numbers")
-        assert echoed.rstrip().endswith("---")
+        told = dict(zip(asked, pool.map(said_at_last, asked.values(), asked), strict=True))
+    assert "size" in told["param", "list", "told"].splitlines()
+    assert told["param", "get", "/told", "size"] == "7\n"
+    assert told["topic", "echo", "--once", "/numbers"].rstrip().endswith("---")
     assert "nobody publishes /silence" in said("topic", "echo", "/silence")
 
 
