@@ -17,7 +17,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from rosplat_core.splats import InputError
 from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_ros import qos
 from rosplat_ros.diagnostics import Diagnostics, Report
@@ -74,12 +73,10 @@ class SorterNode(Node):
         self._at_work: _AtWork | None = None  # first: since Kilted, half-made nodes are destroyed
         super().__init__("sorter")
         self._said: dict[str, float] = {}
-        about = f"What sorts: {', '.join(CHOICES)}; auto takes the fastest that works here."
-        backend = declare(self, "backend", AUTO, about, changes=True)
+        about = "What sorts; auto takes the fastest backend that works here"
+        declare(self, "backend", AUTO, about, choices=CHOICES, changes=True)
         about = "Threads of a backend on the CPU; 0: one for each core."
         declare(self, "threads", 0, about, 0, 256, changes=True)
-        if backend not in CHOICES:
-            raise InputError(_unknown(backend))
         # Remapping the map's topic takes the others along.
         topic = self.resolve_topic_name("gaussians")
         self._order = self.create_publisher(
@@ -169,7 +166,8 @@ class SorterNode(Node):
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         values = {parameter.name: parameter.value for parameter in parameters}
         if values.get("backend", AUTO) not in CHOICES:
-            return SetParametersResult(successful=False, reason=_unknown(values["backend"]))
+            reason = f"unknown backend '{values['backend']}', known are {', '.join(CHOICES)}"
+            return SetParametersResult(successful=False, reason=reason)
         if not self._is_told:
             self._use(parameters)
         return SetParametersResult(successful=True)
@@ -180,10 +178,6 @@ class SorterNode(Node):
             self._at_work.worker.use(
                 *(values.get(name, self.get_parameter(name).value) for name in SETTINGS)
             )
-
-
-def _unknown(backend: str) -> str:
-    return f"unknown backend '{backend}', known are {', '.join(CHOICES)}"
 
 
 def _begin_anew(parameters: list[str]) -> None:

@@ -274,7 +274,7 @@ def test_it_ends_in_silence(ros, stop):
 @pytest.mark.parametrize(
     ("parameter", "reason"),
     [
-        ("backend:=nonsense", "unknown backend 'nonsense', known are auto, cupy"),
+        ("backend:=nonsense", "backend: expected one of auto, cupy, torch, native, numpy, got 'no"),
         ("backend:=3", "'backend' to '3'"),
         ("threads:=-1", "(-1)"),
         ("threads:=x", "'threads' to 'x'"),

@@ -213,7 +213,7 @@ def test_nothing_is_published_of_a_map_in_part_or_a_pose_elsewhere(
 @pytest.mark.parametrize(
     ("parameter", "value", "said"),
     [
-        ("poses", "tx", "parameter poses: expected tf or topic, got 'tx'"),
+        ("poses", "tx", "parameter poses: expected one of tf, topic, got 'tx'"),
         ("depth", "mean", "parameter depth: expected one of median, expected, got 'mean'"),
         ("near", 1e6, "parameters near, far: 1000000.0 is not less than 1000000.0"),
         ("camera.calibration", "/nowhere.yaml", "/nowhere.yaml: No such file or directory"),

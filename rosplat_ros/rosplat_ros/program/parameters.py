@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -25,13 +26,16 @@ def declare(
     low: float | None = None,
     high: float | None = None,
     *,
+    choices: Iterable[object] = (),
     changes: bool = False,
 ) -> Any:
-    """Declares a parameter, a number from low to high if given; returns its value.
+    """Declares a parameter; returns its value, a number from low to high, or one of choices.
 
     changes: whether it may be set later, else it is read-only. Raises InputError for no value, one
-    that can't be meant for the default's type, or one out of range.
+    that can't be meant for the default's type, or one that isn't allowed.
     """
+    known = ", ".join(map(str, choices))
+    description += f": {known}." if known else ""
     descriptor = ParameterDescriptor(description=description, read_only=not changes)
     if low is not None and high is not None:
         if isinstance(default, int):
@@ -49,6 +53,8 @@ def declare(
         raise InputError(f"parameter {name}: {error}") from error
     if value is None:  # rclpy makes None of an empty list, whatever the type
         raise InputError(f"parameter {name}: has no value")
+    if known and value not in (default, *map(str, choices)):
+        raise InputError(f"parameter {name}: expected one of {known}, got '{shown(value)}'")
     return value
 
 
@@ -84,21 +90,15 @@ def declare_path(node: Node, name: str, default: str, description: str) -> str:
 
 def declare_compression(node: Node) -> str:
     """Declares `compression`, for MapPublisher. Raises InputError for one that is not known."""
-    known = ", ".join(COMPRESSIONS)
-    description = f"How splats travel: {known}; for subscribers beyond a network."
-    compression: str = declare(node, "compression", NONE, description)
-    if compression not in COMPRESSIONS:
-        raise InputError(f"compression: expected one of {known}, got '{shown(compression)}'")
+    about = "How splats travel, to subscribers beyond a network"
+    compression: str = declare(node, "compression", NONE, about, choices=COMPRESSIONS)
     return compression
 
 
 def declare_model(node: Node) -> Model | None:
     """Declares `model`, None for the scene's own. Raises InputError for one that is not known."""
-    known = ", ".join(map(str, Model))
-    description = f"How splats become pixels: {known}; empty: as the scene says, or ewa."
-    name: str = declare(node, "model", "", description)
-    if name not in ("", *map(str, Model)):
-        raise InputError(f"model: expected one of {known}, got '{shown(name)}'")
+    about = "How splats become pixels; empty: as the scene says, or ewa"
+    name: str = declare(node, "model", "", about, choices=Model)
     return Model.of(name) if name else None
 
 

@@ -23,7 +23,6 @@ from std_msgs.msg import Header
 from rosplat_core.lens_pictures import DEPTHS, LensPicture, Shutter, take_picture
 from rosplat_core.lens_warps import Warp
 from rosplat_core.lenses import Lens
-from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError
 from rosplat_ros.diagnostics import Diagnostics
 from rosplat_ros.images import to_bytes, to_image
@@ -58,13 +57,10 @@ class CameraNode(Node):
             1000.0,
         )
         near, far = declare_clip(self)
-        depth = declare(self, "depth", DEPTHS[0], "Which depth: " + ", ".join(DEPTHS))
+        depth = declare(self, "depth", DEPTHS[0], "Which depth", choices=DEPTHS)
         wellformed = all(name.isidentifier() and name.isascii() for name in names)
         if len(set(names)) < len(names) or not wellformed:
             raise InputError(f"parameter cameras: expected names, each once, got {names}")
-        if depth not in DEPTHS:
-            known = ", ".join(DEPTHS)
-            raise InputError(f"parameter depth: expected one of {known}, got '{shown(depth)}'")
         self._map = DrawnMap(self)
         poses = declare_poses(self, names, self._map.came.set)
         self._cameras = [

@@ -43,13 +43,9 @@ def declare_poses(node: Node, cameras: list[str], heard: Callable[[], None]) -> 
 
     Raises InputError for a source that is unknown, or not installed.
     """
-    source = declare(
-        node, "poses", "tf", "Source of cameras' poses: tf, or topic, PoseStampeds on NAME/pose."
-    )
-    if source == "topic":
+    about = "Source of cameras' poses; topic: PoseStampeds on NAME/pose"
+    if declare(node, "poses", "tf", about, choices=("tf", "topic")) == "topic":
         return TopicPoses(node, cameras, heard)
-    if source != "tf":
-        raise InputError(f"parameter poses: expected tf or topic, got '{shown(source)}'")
     try:
         return TfPoses(Frames(node))
     except InputError as error:

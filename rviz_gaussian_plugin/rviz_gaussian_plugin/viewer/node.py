@@ -82,7 +82,7 @@ class Viewer(Node):
             self, "up", [0.0, 0.0, 1.0], "Which way is up in the map's frame, for orbiting."
         )
         order_source: str = declare(
-            self, "order_source", "auto", "Whose order is drawn: " + ", ".join(ORDER_SOURCES)
+            self, "order_source", "auto", "Whose order is drawn", choices=ORDER_SOURCES
         )
         self.window_size = (
             declare(self, "width", WINDOW[0], "Width of the window. [px]", 64, 8192),
@@ -96,11 +96,6 @@ class Viewer(Node):
         )
         if len(self.up) != 3 or not any(self.up) or not np.isfinite(self.up).all():
             raise InputError(f"parameter up: expected a direction of 3 numbers, got {self.up}")
-        if order_source not in ORDER_SOURCES:
-            raise InputError(
-                f"parameter order_source: expected one of {', '.join(ORDER_SOURCES)}, "
-                f"got '{order_source}'"
-            )
         try:
             RenderSettings().detail = detail
         except ValueError as error:
