@@ -39,8 +39,8 @@ simplify: ## Fewer splats that look the same: IN=scene OUT=scene PSNR=50, or SPL
 	@test -n "$(IN)" -a -n "$(OUT)" || { echo 'make simplify needs IN=scene OUT=scene, and PSNR=, SPLATS= or BYTES='; exit 1; }
 	@test -n "$(PSNR)$(SPLATS)$(BYTES)" || { echo 'make simplify needs a bound: PSNR=, SPLATS= or BYTES='; exit 1; }
 	$(call EXISTS,$(IN))
-	@./setup.sh lab
-	@$(ENTER); python -m rosplat_lab.simplify "$(IN)" "$(OUT)" $(if $(PSNR),--psnr $(PSNR)) $(if $(SPLATS),--max-splats $(SPLATS)) $(if $(BYTES),--max-bytes $(BYTES)) $(if $(CAMERAS),--cameras "$(CAMERAS)") $(if $(TRAJECTORY),--trajectory "$(TRAJECTORY)") $(if $(MARGIN),--margin $(MARGIN)) $(if $(REFINE),--refine $(REFINE)) $(if $(REPORT),--report "$(REPORT)") $(if $(PICTURE),--picture "$(PICTURE)")
+	@./setup.sh
+	@$(ENTER); ros2 run rosplat_tools simplify "$(IN)" "$(OUT)" $(if $(PSNR),--psnr $(PSNR)) $(if $(SPLATS),--max-splats $(SPLATS)) $(if $(BYTES),--max-bytes $(BYTES)) $(if $(CAMERAS),--cameras "$(CAMERAS)") $(if $(TRAJECTORY),--trajectory "$(TRAJECTORY)") $(if $(MARGIN),--margin $(MARGIN)) $(if $(REFINE),--refine $(REFINE)) $(if $(REPORT),--report "$(REPORT)") $(if $(PICTURE),--picture "$(PICTURE)")
 
 bench: ## Measure this machine: QUICK=1 for two minutes; SUBJECTS="sort frame" SCENES="a.ply b.spz" SIZES="500k 5M" DISPLAYS=file
 	@./setup.sh lab

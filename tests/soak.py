@@ -35,10 +35,10 @@ from rosgraph_msgs.msg import Clock
 from soak_slam import BATCH, RATE, as_message, last_step, steps
 
 from rosplat_core.generated import generate
+from rosplat_core.program.machine import machine
 from rosplat_core.program.output import say
 from rosplat_core.rendering import CpuRenderer, SplatCamera
 from rosplat_lab.bench import scenes
-from rosplat_lab.machine import machine
 from rosplat_msgs.srv import RenderView
 from rosplat_ros.program.processes import Processes, interrupt_by_signals, node_command
 from rosplat_ros.view_cameras import numbers, view_camera

@@ -7,7 +7,6 @@ import math
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -29,8 +28,9 @@ from rosplat_core.simplification.search import Learnt, Simplification
 from rosplat_core.simplification.views import Around, whereabouts
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import InputError, Splats
-from rosplat_lab.simplify.command import main
+from rosplat_ros.program.processes import node_command
 from rosplat_testing import PATIENCE
+from rosplat_tools.simplify.command import main
 
 pytestmark = pytest.mark.usefixtures("few_views")
 
@@ -373,7 +373,7 @@ def test_a_report_is_replaced_where_that_is_asked_for(out: Path, tmp_path: Path)
 def test_interrupted_it_leaves_nothing(tmp_path: Path, number: int) -> None:
     folder = tmp_path / "out"
     folder.mkdir()
-    command = [sys.executable, "-m", "rosplat_lab.simplify", "procedural:1000000"]
+    command = node_command("rosplat_tools", "simplify", "procedural:1000000")
     with subprocess.Popen(
         [*command, str(folder / "out.ply"), "--psnr", "40"], stderr=subprocess.PIPE, text=True
     ) as process:

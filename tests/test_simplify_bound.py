@@ -11,7 +11,7 @@ from rosplat_core.cameras import orbit
 from rosplat_core.formats import load, save
 from rosplat_core.rendering import CpuRenderer, psnr_of
 from rosplat_lab.bench.thin import fence
-from rosplat_lab.simplify.command import main
+from rosplat_tools.simplify.command import main
 
 
 def test_a_fence_keeps_its_bound_in_views_that_nobody_chose(tmp_path: Path) -> None:

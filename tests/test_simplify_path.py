@@ -17,10 +17,10 @@ from rosplat_core.simplification.search import Simplification
 from rosplat_core.simplification.views import LEAST_BETWEEN, TURN, Along
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import InputError, Splats, concatenate
-from rosplat_lab.simplify.command import main
-from rosplat_lab.simplify.path import along, load_camera_info
 from rosplat_ros.poses import to_pose
 from rosplat_testing.bags import needs_bags, record
+from rosplat_tools.simplify.command import main
+from rosplat_tools.simplify.path import along, load_camera_info
 
 HIGH = 30.0  # where what no camera sees is [m]
 POSES = 40

@@ -7,7 +7,7 @@ import re
 from rosplat_core import formats
 from rosplat_core.formats import Into, IntoSplats, Made, Progress, Warn
 from rosplat_core.generated import generate_into
-from rosplat_core.program.whole_numbers import whole_number
+from rosplat_core.program.typed_numbers import whole_number
 from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats
 

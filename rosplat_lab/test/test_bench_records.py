@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rosplat_lab import machine
+from rosplat_core.program import machine
 from rosplat_lab.bench.records import (
     Budget,
     Circumstances,

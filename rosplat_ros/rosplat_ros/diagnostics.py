@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from rosplat_ros.program.memory import resident_bytes
+from rosplat_core.program.machine import resident_bytes
 
 PERIOD = 1.0  # [s]
 

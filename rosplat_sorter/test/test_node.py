@@ -275,9 +275,9 @@ def test_it_ends_in_silence(ros, stop):
     ("parameter", "reason"),
     [
         ("backend:=nonsense", "backend: expected one of auto, cupy, torch, native, numpy, got 'no"),
-        ("backend:=3", "'backend' to '3'"),
+        ("backend:=3", "backend: expected one of auto, cupy, torch, native, numpy, got '3'"),
         ("threads:=-1", "(-1)"),
-        ("threads:=x", "'threads' to 'x'"),
+        ("threads:=x", "threads: 'x' is no whole number"),
         ("qos_overrides./gaussians/view.subscription.reliability:=x", "`reliability`: `x`"),
     ],
 )

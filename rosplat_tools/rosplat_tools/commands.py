@@ -18,6 +18,7 @@ occupancy = partial(run_module, "occupancy", "rosplat_tools.obstacles.occupancy"
 lidar = partial(run_module, "lidar", "rosplat_tools.lidars.lidar")
 ply_publisher = partial(run_module, "ply_publisher", "rosplat_tools.ply_publisher")
 share = partial(run_module, "share", "rosplat_tools.sharing.share")
+simplify = partial(run_module, "simplify", "rosplat_tools.simplify.command")
 simulate = partial(run_module, "simulate", "rosplat_tools.simulation.simulate")
 slam_emulator = partial(run_module, "slam_emulator", "rosplat_tools.emulation.slam_emulator")
 stream_publisher = partial(

@@ -7,7 +7,6 @@ To .xml, MJCF, it writes the scene's solid parts as boxes, for MuJoCo and what r
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -31,6 +30,7 @@ from rosplat_core.models import Model
 from rosplat_core.occupancy import RESOLUTION
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
+from rosplat_core.program.typed_numbers import number
 from rosplat_core.round_trip import report
 from rosplat_core.scenes import NAMES, load_scene
 from rosplat_core.splats import LONGEST_ERROR, Splats
@@ -80,7 +80,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument(
         "--resolution",
-        type=_edge,
+        type=number("voxel's edge in metres", 0.005, 10.0),
         default=RESOLUTION,
         help=f"of {MJCF} and {FIELD}: edge of a voxel [m] (%(default)s)",
     )
@@ -171,14 +171,3 @@ def _cut(splats: Splats, options: argparse.Namespace) -> Splats:
     if not kept.any():
         raise InputError(f"{shown(options.input)}: no splat is left")
     return splats if kept.all() else splats[kept]
-
-
-def _edge(text: str) -> float:
-    """A voxel's edge. Raises argparse's error."""
-    try:
-        edge = float(text)
-    except ValueError:
-        edge = math.nan
-    if not 0.005 <= edge <= 10:
-        raise argparse.ArgumentTypeError(f"expected 0.005 to 10 m, got '{shown(text)}'")
-    return edge

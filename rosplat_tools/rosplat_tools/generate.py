@@ -10,7 +10,7 @@ from rosplat_core.generated import SCENES, generate
 from rosplat_core.log_text import shown
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
-from rosplat_core.program.whole_numbers import whole_number
+from rosplat_core.program.typed_numbers import whole_number
 from rosplat_core.splats import LONGEST_ERROR
 
 

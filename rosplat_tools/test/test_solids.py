@@ -239,4 +239,4 @@ def test_convert_writes_what_mujoco_reads(
     assert "exists already" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main([*arguments[:3], "0"])
-    assert "expected 0.005 to 10 m, got '0'" in capsys.readouterr().err
+    assert "'0' is no voxel's edge in metres, 0.005 to 10" in capsys.readouterr().err

@@ -82,6 +82,14 @@ def _umask() -> int:
     return int(status.partition("\nUmask:")[2].split()[0], 8)
 
 
+def make_folder(folder: Path) -> None:
+    """Makes a folder for results where there is none. Raises OSError that says which, and why."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(f"{folder}: no folder for results: {error.strerror}") from error
+
+
 def write_text(path: Path, text: str) -> None:
     """Writes a text in UTF-8; replaces a file that exists, whole. Raises OSError as replacing."""
     with replacing(path) as partial:

@@ -17,11 +17,12 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from rosplat_core.program import machine
+from rosplat_core.program.files import make_folder
 from rosplat_core.program.output import told, unheard
+from rosplat_core.program.typed_numbers import number, sized
 from rosplat_core.scenes import NAMES, check_scene
 from rosplat_core.splats import InputError
-from rosplat_lab import machine
-from rosplat_lab.arguments import make_folder, number, sized
 from rosplat_lab.bench import live
 from rosplat_lab.bench.plan import FULL_BUDGET, QUICK_BUDGET, Plan
 from rosplat_lab.bench.records import (

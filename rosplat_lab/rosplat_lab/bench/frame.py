@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera
 from rosplat_core.models import Model
+from rosplat_core.program import machine
 from rosplat_core.scenes import ROOMS
 from rosplat_core.splats import InputError, Splats
-from rosplat_lab import machine
 from rosplat_lab.bench import embedded, live, renderers, scenes, truths
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from rosplat_core.program import machine
 from rosplat_core.splats import InputError
-from rosplat_lab import machine
 from rosplat_lab.bench import records
 from rosplat_lab.programs import Programs
 from rosplat_ros.program.processes import node_command, quoted

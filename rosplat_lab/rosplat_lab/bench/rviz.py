@@ -19,8 +19,9 @@ from PIL import Image
 
 from rosplat_core import formats
 from rosplat_core.cameras import Camera, Place, look_at, place
+from rosplat_core.program import machine
 from rosplat_core.splats import InputError, Splats
-from rosplat_lab import driven_rviz, machine, metrics
+from rosplat_lab import driven_rviz, metrics
 from rosplat_lab.bench import mouse, scenes
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped

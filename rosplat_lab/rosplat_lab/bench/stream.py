@@ -17,8 +17,9 @@ from rosplat_core import rendering
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.formats.streamed_sog import Pieces, Streamed, open_streamed
 from rosplat_core.posed_camera import PosedCamera
+from rosplat_core.program import machine
 from rosplat_core.splats import InputError, concatenate, splat_bytes
-from rosplat_lab import machine, metrics
+from rosplat_lab import metrics
 from rosplat_lab.bench import streamed_gardens
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan

@@ -16,10 +16,10 @@ from pathlib import Path
 
 from rich.console import Console
 
+from rosplat_core.program.files import make_folder
 from rosplat_core.program.output import say, told
 from rosplat_core.scenes import NAMES, PROCEDURAL, check_scene
 from rosplat_core.splats import InputError
-from rosplat_lab.arguments import make_folder
 from rosplat_lab.bench.command import Recorder, circumstances, follow
 from rosplat_lab.bench.plan import FULL_BUDGET, QUICK_BUDGET, Plan
 from rosplat_lab.bench.records import Record, RecordError, load

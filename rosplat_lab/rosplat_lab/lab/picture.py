@@ -16,7 +16,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import LogFormatter, NullFormatter
 from matplotlib.transforms import Bbox
 
-from rosplat_lab.arguments import make_folder
+from rosplat_core.program.files import make_folder
 from rosplat_lab.bench.records import Record
 from rosplat_lab.lab.points import Point, frontier, points
 from rosplat_lab.lab.ways import DEFAULT

@@ -25,12 +25,11 @@ from tqdm import tqdm
 
 from rosplat_core.cameras import Camera, load_cameras, picture_of
 from rosplat_core.models import Model
-from rosplat_core.program.files import replacing, write_text
+from rosplat_core.program.files import make_folder, replacing, write_text
+from rosplat_core.program.machine import commit, machine
 from rosplat_core.program.output import say, told
 from rosplat_core.scenes import NAMES, check_scene
 from rosplat_core.splats import InputError
-from rosplat_lab.arguments import make_folder
-from rosplat_lab.machine import commit, machine
 from rosplat_lab.metrics import LEAST_SIDE, compare
 from rosplat_lab.programs import ASK_AGAIN, Programs
 from rosplat_msgs.srv import RenderView

@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
-from rosplat_core.program.whole_numbers import whole_number
+from rosplat_core.program.typed_numbers import whole_number
 from rosplat_core.splats import InputError
 from rosplat_ros.messages import COMPRESSIONS, NONE
 

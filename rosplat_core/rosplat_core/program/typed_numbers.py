@@ -1,16 +1,24 @@
-"""Checks of commands' arguments; each error names the argument."""
+"""Numbers as users type them; each error names the argument."""
 
 from __future__ import annotations
 
 import argparse
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import TypeVar
 
-from rosplat_core.program.whole_numbers import whole_number
-
 Number = TypeVar("Number", int, float)
+
+UNITS = {"k": 10**3, "m": 10**6, "g": 10**9}
+
+
+def whole_number(text: str) -> int:
+    """A whole number, as 20k, 1.5M or 20G too. Raises ValueError."""
+    unit = UNITS.get(text[-1:].lower(), 1)
+    try:
+        return round(float(text if unit == 1 else text[:-1]) * unit)
+    except (ValueError, OverflowError):  # OverflowError: inf
+        raise ValueError(f"'{text}' is no whole number, such as 20k or 5M") from None
 
 
 def whole(least: int) -> Callable[[str], int]:
@@ -18,9 +26,12 @@ def whole(least: int) -> Callable[[str], int]:
     return _checked(int, lambda value: value >= least, f"whole number, {least} or more")
 
 
-def number(what: str) -> Callable[[str], float]:
-    """A type for argparse: finite numbers that are not negative. what: their name in errors."""
-    return _checked(float, lambda value: 0 <= value < math.inf, f"{what}, 0 or more")
+def number(what: str, least: float = 0.0, most: float = math.inf) -> Callable[[str], float]:
+    """A type for argparse: finite numbers from least to most. what: their name in errors."""
+    upwards = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
+    return _checked(
+        float, lambda value: least <= value <= most and value < math.inf, f"{what}, {upwards}"
+    )
 
 
 def sized(what: str) -> Callable[[str], int]:
@@ -41,11 +52,3 @@ def _checked(
         raise argparse.ArgumentTypeError(f"'{text}' is no {expected}")
 
     return parsed
-
-
-def make_folder(folder: Path) -> None:
-    """Makes a folder for results where there is none. Raises OSError that says which, and why."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OSError(f"{folder}: no folder for results: {error.strerror}") from error

@@ -37,7 +37,7 @@ def _at_each_pose(trajectory: Path, camera: Camera) -> list[Camera]:
     bag, _, topic = str(trajectory).partition(":")
     if not (Path(bag).is_dir() or Path(bag).suffix in BAGS):
         return load_trajectory(trajectory, camera)
-    from rosplat_lab.simplify.bag_path import poses
+    from rosplat_tools.simplify.bag_path import poses
 
     return [
         replace(camera, id=number, world_to_camera=np.linalg.inv(pose).astype(np.float64))

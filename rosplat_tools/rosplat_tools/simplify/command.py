@@ -25,8 +25,10 @@ from pathlib import Path
 from rosplat_core.formats import SUFFIXES, check_output, load, save
 from rosplat_core.models import Model
 from rosplat_core.program.files import write_text
+from rosplat_core.program.machine import commit, machine, peak_bytes
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched, watched_tasks
+from rosplat_core.program.typed_numbers import number, sized, whole
 from rosplat_core.rendering import MOST_PSNR
 from rosplat_core.scenes import NAMES, load_scene
 from rosplat_core.simplification.judging import SHARE, Quality, Trial
@@ -34,10 +36,8 @@ from rosplat_core.simplification.search import FRESH, LEARNT, Simplification
 from rosplat_core.simplification.views import CHECKED, HEIGHT, MARGIN, WIDTH, whereabouts
 from rosplat_core.slot_order import put_in_slot_order
 from rosplat_core.splats import InputError, Splats
-from rosplat_lab.arguments import number, sized, whole
-from rosplat_lab.machine import commit, machine, peak_bytes
-from rosplat_lab.simplify import worst_view
-from rosplat_lab.simplify.path import along
+from rosplat_tools.simplify import worst_view
+from rosplat_tools.simplify.path import along
 
 TRIES = 8  # to come below a number of bytes, or to make up for what a format loses
 EXCESS = 0.05  # margin over what a format loses [dB]

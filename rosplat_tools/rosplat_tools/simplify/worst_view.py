@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from rosplat_core.splats import InputError
 
@@ -20,13 +20,13 @@ def write(path: Path, whole: NDArray[np.float32], left: NDArray[np.float32]) -> 
 
     whole, left: (height, width, 3), 0 to 1. Raises InputError when the file can't be written.
     """
-    height = round(WIDTH * whole.shape[0] / whole.shape[1])
-    parts = [
-        cv2.resize(part, (WIDTH, height), interpolation=cv2.INTER_AREA)
-        for part in (whole, left, np.minimum(TIMES * np.abs(left - whole), 1))
-    ]
-    rgb = np.rint(255 * np.hstack(parts)).astype(np.uint8)
+    size = WIDTH, round(WIDTH * whole.shape[0] / whole.shape[1])
+    bytes_of = (
+        np.rint(255 * part.clip(0, 1)).astype(np.uint8)
+        for part in (whole, left, TIMES * np.abs(left - whole))
+    )
+    parts = [Image.fromarray(part).resize(size, Image.Resampling.BOX) for part in bytes_of]
     try:
-        path.write_bytes(cv2.imencode(path.suffix, rgb[..., ::-1])[1].tobytes())
+        Image.fromarray(np.hstack([np.asarray(part) for part in parts])).save(path)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error

@@ -1,8 +1,0 @@
-"""`python -m rosplat_lab.simplify`."""
-
-import sys
-
-from rosplat_ros.program.processes import run_module
-
-if __name__ == "__main__":  # not in the processes that it starts
-    sys.exit(run_module("simplify", "rosplat_lab.simplify.command"))
