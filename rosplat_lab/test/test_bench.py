@@ -48,7 +48,6 @@ def test_sorting_is_measured_for_every_backend_that_is_here(tmp_path: Path) -> N
     some = [record for record in records if record.parameters["view"] == "inside"]
     assert all(0 < record.parameters["visible"] < record.splats for record in some)
     assert all(record.n >= 3 and 0 < record.p50 <= record.p95 for record in records)
-    assert (tmp_path / "sort-host.png").stat().st_size > 10_000
 
 
 def test_a_wrong_order_is_not_timed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -241,7 +240,7 @@ def test_an_interrupted_run_keeps_what_it_measured(tmp_path: Path) -> None:
     assert process.returncode == 130
     assert "Traceback" not in said
     assert load([tmp_path / "sort.json"])
-    assert (tmp_path / "sort-host.png").exists()
+    assert "sort: order in host memory [ms]" in said
 
 
 SLOW_TO_END = """

@@ -42,6 +42,7 @@ TURN = 1.0  # of the robot, on the spot [rad/s]
 CAMERA = "camera"  # 640x360
 ENVIRONMENTS = (1, 4, 16)
 PICTURES = ((84, 84), (320, 240), (640, 360))  # of the environments [px]
+QUICK_PICTURES = PICTURES[:1]
 HEADINGS = 8  # from which another draws the same pictures
 RINGS, COLUMNS = 16, 1024
 HEIGHT = 0.3  # of the lidar over the floor [m]
@@ -49,6 +50,8 @@ TURNS = 3  # scans from places beside START
 EDGE = 0.03  # rays that pass an edge by less are counted apart [m]
 CLOSE = 0.03  # an error that counts as small [m]
 ANGLES = (0, 30, 60, 75, 90)  # of incidence [deg]
+
+Sizes = tuple[tuple[int, int], ...]
 
 
 def measure(plan: Plan) -> Iterator[Event]:
@@ -60,25 +63,26 @@ def measure(plan: Plan) -> Iterator[Event]:
         yield Skipped(f"robots: {error}")
         return
     rooms = [f"{ROOMS}{size}" for size in plan.sizes or (QUICK_SIZES if plan.quick else SIZES)]
+    pictures = QUICK_PICTURES if plan.quick else PICTURES
     for number, name in enumerate([*rooms, *plan.scenes]):
         yield Doing(name, number / (len(rooms) + len(plan.scenes)))
-        yield from isolated(_filmed, name, plan.budget)
-        yield from isolated(_filmed_by_card, name, plan.budget)
+        yield from isolated(_filmed, name, plan.budget, pictures)
+        yield from isolated(_filmed_by_card, name, plan.budget, pictures)
         yield from isolated(_beside, name)
         if name in rooms:
             yield from isolated(_scanned, name, plan.budget)
 
 
-def _filmed(name: str, budget: Budget) -> Iterator[Event]:
+def _filmed(name: str, budget: Budget, sizes: Sizes) -> Iterator[Event]:
     splats = scenes.load(name)
     began = time.perf_counter()
     stands = _turning(name, splats)
     put = time.perf_counter() - began
     yield Measurement.of("solid parts of the map", "s", put, name, len(splats), boxes=stands.boxes)
-    yield from _pictures(name, splats, stands, CpuRenderer(splats), "", budget)
+    yield from _pictures(name, splats, stands, CpuRenderer(splats), "", budget, sizes)
 
 
-def _filmed_by_card(name: str, budget: Budget) -> Iterator[Event]:
+def _filmed_by_card(name: str, budget: Budget, sizes: Sizes) -> Iterator[Event]:
     from rviz_gaussian_plugin.offscreen import CardRenderer
 
     splats = scenes.load(name)
@@ -86,12 +90,13 @@ def _filmed_by_card(name: str, budget: Budget) -> Iterator[Event]:
     if "llvmpipe" in card.device:
         yield Skipped(f"pictures by a graphics card: there is {card.device}")
     else:
-        yield from _pictures(name, splats, _turning(name, splats), card, card.device, budget)
+        yield from _pictures(name, splats, _turning(name, splats), card, card.device, budget, sizes)
 
 
 def _pictures(
-    name: str, splats: Splats, stands: Standing, renderer: Renderer, gpu: str, budget: Budget
-) -> Iterator[Event]:
+    name: str, splats: Splats, stands: Standing, renderer: Renderer, gpu: str, budget: Budget,
+    sizes: Sizes,
+) -> Iterator[Event]:  # fmt: skip
     robot = stands.robot
     eye = SplatCamera(robot.model, robot.data, renderer, map_pose=stands.map_pose)
     if eye.problem:
@@ -115,7 +120,7 @@ def _pictures(
     start = time.perf_counter() - robot.time
     yield from of("picture and depth, in real time", in_time)
     yield from of("picture and depth, with bodies", lambda: eye.picture(CAMERA, bodies=True))
-    for size in PICTURES:
+    for size in sizes:
         robot.model.cam_resolution[robot.model.camera(CAMERA).id] = size
         for count in ENVIRONMENTS:
             yield Measurement.of(
