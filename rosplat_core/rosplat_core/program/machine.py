@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import platform
 import subprocess
@@ -27,19 +26,11 @@ def _processor() -> str:
 
 def commit() -> str:
     """The commit of the checkout that this runs in, else $ROSPLAT_COMMIT, else empty."""
-    top = _git("rev-parse", "--show-toplevel")
+    top = _said("git", "rev-parse", "--show-toplevel")
     here = top and (Path(top) / __name__.partition(".")[0]).is_dir()  # not another project's
-    return (here and _git("describe", "--always", "--dirty")) or os.environ.get(
+    return (here and _said("git", "describe", "--always", "--dirty")) or os.environ.get(
         "ROSPLAT_COMMIT", ""
     )
-
-
-def _git(*command: str) -> str:
-    try:
-        git = subprocess.run(["git", *command], capture_output=True, text=True, check=False)
-    except OSError:
-        return ""
-    return git.stdout.strip()
 
 
 def resident_bytes(pid: int | None = None) -> int:
@@ -71,28 +62,16 @@ def _memory(name: str, pid: int) -> int:
     return 1024 * int(lines[0].split()[1]) if lines else 0
 
 
-# --- NVIDIA's management library, which comes with every driver -----------------------------------
-
-
-def _nvml() -> tuple[ctypes.CDLL, ctypes.c_void_p] | None:
-    """The library and the first GPU."""
-    try:
-        library = ctypes.CDLL("libnvidia-ml.so.1")
-    except OSError:
-        return None
-    device = ctypes.c_void_p()
-    if library.nvmlInit_v2() or library.nvmlDeviceGetHandleByIndex_v2(0, ctypes.byref(device)):
-        return None
-    return library, device
-
-
 def nvidia_gpu() -> tuple[str, str]:
     """Name and driver's version of the first NVIDIA GPU, empty where there is none."""
-    found = _nvml()
-    if not found:
-        return "", ""
-    library, device = found
-    name, driver = ctypes.create_string_buffer(96), ctypes.create_string_buffer(96)
-    library.nvmlDeviceGetName(device, name, len(name))
-    library.nvmlSystemGetDriverVersion(driver, len(driver))
-    return name.value.decode(), driver.value.decode()
+    asked = "--query-gpu=name,driver_version", "--format=csv,noheader", "--id=0"
+    name, _, driver = _said("nvidia-smi", *asked).partition(", ")
+    return name, driver
+
+
+def _said(*command: str) -> str:
+    try:
+        run = subprocess.run(command, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return run.stdout.strip()
