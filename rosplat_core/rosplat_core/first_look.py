@@ -10,9 +10,10 @@
    the size of the splats, and depth. Blur, and what is close to the camera, make a picture worth
    less.
 4. A scene that surrounds its free places, such as a room, is shown from within, and so is one of
-   which no camera around it shows much. There, a picture is worth its contrast, in all of it and
-   from each part to the next, and its depth: a wall has neither. An empty part makes it worth
-   little. A hollow object isn't a room: from within, it is a blur.
+   which no camera around it shows much. There, a picture is worth its contrast, its depth, and how
+   much of it differs from its neighbours, in colour or because another plane begins: a bare wall
+   has neither. An empty part makes it worth little. A hollow object isn't a room: its middle sees
+   all of it, and no floor, or it is a blur from within.
 5. Another scene is shown whole, above all its top. A picture is worth the share of the scene's
    splats that it shows: not hidden by others, and no smaller than a pixel. Trainers put splats
    where photographs have detail, so the share is that of the detail that is seen.
@@ -26,7 +27,7 @@ import logging
 import math
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -36,11 +37,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core import harmonics
 from rosplat_core.cameras import Camera, check_cameras, load_cameras, look_at
+from rosplat_core.formats.ply_file import PlyFile
 from rosplat_core.payload import PACKED, decode
 from rosplat_core.quaternions import from_matrices, product
 from rosplat_core.rendering import CpuRenderer, posed
 from rosplat_core.splats import InputError, PackedSplats, Splats, check_splats, unit
-from rosplat_core.upright import find_up
+from rosplat_core.upright import NEARBY, find_up, shell
 
 _log = logging.getLogger(__name__)
 
@@ -59,14 +61,18 @@ CLEARANCE = 0.1  # from a free place to the nearest splats, in the scene's radii
 BACK, STEPS_BACK = 0.06, 12  # length and number of steps that a camera goes back from there
 PITCHES = (-6, -13)  # of cameras within [deg]
 DRAWN = {"around": 16, "amid": 12, "within": 48, "taken": 40}  # how many cameras are drawn of each
+FURTHER = 240  # within, of a scene that is shown from there
 RESOLVED = 10  # standard deviation of a splat at which it counts half [px of SHOWN_HEIGHT]
 BLUR = 0.12  # sharpness within a hollow object
 BLURRED = 40  # that from which a near splat is blurred
+CLEAR = 0.8  # share of a hollow object that its middle sees
+FLOOR, LEAST_FLOOR = 0.02, 0.08  # thickness of a floor, in the scene's radii; its share of a room
 CLOSE = 0.15  # distance within which things are too close, in the scene's radii
+MOST_BENT = 0.1  # that counts, of 1 / depth
+BARE = 0.005  # difference between parts of a bare wall
 TILE = 4  # edge of parts of a picture that are compared [px]
 SURROUNDED = 0.9  # least part of pictures from within that is covered, for the scene to surround it
 HIDDEN = 0.2  # share of a scene that is shown from within if no camera around it shows more
-NEARBY = 3  # distance within which a scene's extent is measured, in median ones
 MARGIN = 0.9  # part of a picture that a whole object may fill
 NARROWER = (0.5, 1.0, 1.5)  # widths of pictures, in their heights, that it is fitted to as well
 SIZES = (1e-6, 10)  # of splats that can be told, in the scene's radii
@@ -121,9 +127,11 @@ def cameras_beside(scene: str) -> list[Camera]:
 
     cameras.json (INRIA) or transforms.json (nerfstudio) lies in the scene's folder, or in the
     model's, which has point_cloud/iteration_N/point_cloud.ply. One that can't be read counts as
-    none.
+    none. A PLY that SHARP made of a photograph has its camera in elements of its own.
     """
     path = Path(scene)
+    if taken := _taken_by(path):
+        return [taken]
     for folder in (path, *path.resolve().parents[:3]):
         for name in CAMERA_FILES:
             if (folder / name).is_file():
@@ -132,6 +140,20 @@ def cameras_beside(scene: str) -> list[Camera]:
                 except InputError as error:
                     _log.warning("cameras are not taken: %s", error)
     return []
+
+
+def _taken_by(path: Path) -> Camera | None:
+    """The camera of SHARP's photograph."""
+    if path.suffix.lower() != ".ply" or not path.is_file():
+        return None
+    try:
+        file = PlyFile(path)
+        matrix, (fx, _, cx, _, fy, cy, *_), (width, height) = (
+            file.rows(name)[:][name] for name in ("extrinsic", "intrinsic", "image_size")
+        )
+        return Camera(0, int(width), int(height), fx, fy, cx, cy, matrix.reshape(4, 4))
+    except (InputError, ValueError, KeyError):  # most have none
+        return None
 
 
 def first_view(
@@ -150,11 +172,15 @@ def first_view(
         return FirstView(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]))
     stage, began = _Stage(splats, np.array(up)), time.monotonic()
     tried = _taken(stage, cameras) if cameras else _around(stage) + _amid(stage) + _within(stage)
-    seen = []
-    for look in _chosen(stage, tried):
-        seen.append((look, stage.seen(look)))
-        if time.monotonic() > began + PATIENCE and len(seen) >= LEAST:
-            break
+    seen: list[tuple[_Look, _Seen]] = []
+
+    def draw(looks: Sequence[_Look]) -> None:
+        for look in looks:
+            if time.monotonic() > began + PATIENCE and len(seen) >= LEAST:
+                break
+            seen.append((look, stage.seen(look)))
+
+    draw(_chosen(stage, tried, DRAWN))
     within = [found for look, found in seen if look.kind == "within"]
     sharp = [found.sharp for found in within if found.surrounds]
     surrounded = len(sharp) > len(within) / 2 and float(np.median(sharp)) > BLUR
@@ -163,6 +189,7 @@ def first_view(
     if surrounding:
         left_out = "amid", "around" if surrounded else ""
         seen = [(look, found) for look, found in seen if look.kind not in left_out]
+        draw(_chosen(stage, tried, {"within": FURTHER})[DRAWN["within"] :])
     best, found = max(seen, key=lambda pair: pair[1].worth(surrounding))
     step = 1.0
     for _ in range(0 if cameras else STEPS):
@@ -186,7 +213,7 @@ def views_within(splats: Splats, up: ArrayLike) -> list[FirstView]:
     """
     stage = _Stage(splats, np.asarray(up, np.float64))
     looks = _within(stage)
-    promising = _chosen(stage, looks)
+    promising = _chosen(stage, looks, DRAWN)
     if not sum(stage.seen(look).surrounds for look in promising) > len(promising) / 2:
         return []
     some = np.random.default_rng(0).permutation(len(looks))[:LOOKS]
@@ -257,6 +284,8 @@ class _Seen:
     """Standard deviation of the colours, from 0.02."""
     variety: float
     """Mean difference between neighbouring parts."""
+    spread: float
+    """Their geometric mean: small where much of the picture is bare."""
     depth: float
     """Mean of what is shown, in the scene's radii, 1 at most."""
     vista: float
@@ -275,7 +304,7 @@ class _Seen:
         """surrounding: whether the scene does that."""
         clear = self.sharp**3 * (1 - self.spoilt) ** 4
         if surrounding:
-            lively = self.contrast * self.variety * self.depth * self.vista
+            lively = math.sqrt(self.contrast) * self.spread**2 * self.depth * self.vista
             return lively * clear * float(self.enclosed**10)
         whole = self.shown * math.exp(-self.cut) * self.level**2
         return whole * clear * self.variety * math.sqrt(self.covered)
@@ -303,9 +332,11 @@ class _Stage:
         counted = random.choice(
             np.flatnonzero(solid), 20_000, p=self._weights[solid] / self._weights[solid].sum()
         )
+        sizes = np.sort(scales, axis=1)[:, 1:].prod(axis=1) ** 0.5
+        below = ~shell(positions, sizes, counted)
+        counted = counted[below[counted]]
         self._middle = np.median(positions[counted], axis=0)
         away = np.linalg.norm(positions[counted] - self._middle, axis=1)
-        sizes = np.sort(scales, axis=1)[:, 1:].prod(axis=1) ** 0.5
         near = counted[away <= NEARBY * np.median(away)]  # without a sky, for example
         far = counted[away > NEARBY * np.median(away)]
         if len(far) and np.median(sizes[far]) <= np.median(sizes[near]):  # such as a guitar's neck
@@ -323,7 +354,8 @@ class _Stage:
         unread = (len(scene) / len(splats)) ** 0.25  # less than for their area: many overlap
         grown = unread * scales / self._radius / np.sqrt(chances)[:, None]
         self._sizes = sizes / self._radius
-        self._sampled = random.choice(len(rows), POINTS, p=self._weights)
+        chance = self._weights * below
+        self._sampled = random.choice(len(rows), POINTS, p=chance / chance.sum())
         self._solid = cKDTree(self.positions[splats.opacities[rows] > 0.3])
         points = self.positions[self._sampled]
         self._probes = points.T.copy()
@@ -373,7 +405,7 @@ class _Stage:
         close = (depth < CLOSE) | ((pixels > BLURRED) & (depth < 0.75 * self.core))
         near = painted[..., :2] * here[..., None]
         tiles = near.reshape(HEIGHT // TILE, TILE, WIDTH // TILE, TILE, 2).mean(axis=(1, 3))
-        steps = (np.abs(np.diff(tiles, axis=axis)).sum(axis=-1).mean() for axis in (0, 1))
+        steps = [np.abs(np.diff(tiles, axis=axis)).sum(axis=-1) for axis in (0, 1)]
         reach = np.minimum(depth, 1)
         return _Seen(
             shown=self._shown(look, depth),
@@ -382,7 +414,8 @@ class _Stage:
             spoilt=float((alpha * close).mean()),
             sharp=float((alpha / (1 + pixels / RESOLVED)).mean()) / max(covered, 1e-3),
             contrast=max(0.02, float(tiles.std(axis=(0, 1)).sum())),
-            variety=float(sum(steps)),
+            variety=float(sum(step.mean() for step in steps)),
+            spread=_spread(steps, depth),
             depth=float(reach.mean()),
             vista=float(np.quantile(reach, 0.95)),
             cut=self._cut(look),
@@ -409,6 +442,14 @@ class _Stage:
         """Whether nothing solid is near points (..., 3); none is free where hardly anything is."""
         nearest, _ = self._solid.query(points, k=5)
         return np.asarray((nearest[..., -1] > CLEARANCE) & (self._solid.n >= 5))
+
+    @cached_property
+    def is_hollow(self) -> bool:
+        """Whether nothing is within but the middle's view of all of it, and there is no floor."""
+        shares = np.linspace(0.3, 0.7, 3)[:, None, None]
+        clear = float(self.free(shares * self.whole).all(axis=0).mean())
+        floors = np.histogram(self.whole[:, 2], np.arange(-2.6, 2.6, FLOOR))[0] / len(self.whole)
+        return clear > CLEAR and float(floors.max(initial=0)) < LEAST_FLOOR
 
     def _cut(self, look: _Look) -> float:
         """What falls outside a picture, or to its margin: above it counts most, beside it least."""
@@ -462,6 +503,17 @@ _COLUMNS, _ROWS = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
 _RAYS = np.stack(  # of a picture's pixels, of unit depth
     [(_COLUMNS - WIDTH / 2) / FOCAL, (_ROWS - HEIGHT / 2) / FOCAL, np.ones_like(_ROWS)], axis=-1
 )
+
+
+def _spread(steps: Sequence[NDArray[np.floating]], depth: NDArray[np.float32]) -> float:
+    """The geometric mean of what parts of a picture show: other colours than their neighbours,
+    given as differences down and across, or another plane, across which 1 / depth bends."""
+    near = 1 / np.maximum(depth[TILE // 2 :: TILE, TILE // 2 :: TILE], 1e-3)
+    shown = []
+    for axis, step in enumerate(steps):
+        bends = np.abs(np.diff(near, 2, axis=axis)) / np.delete(near, [0, -1], axis=axis)
+        shown.append(np.delete(step, 0, axis=axis) + np.minimum(bends, MOST_BENT))
+    return float(np.exp(sum(np.log(BARE + each).mean() for each in shown) / 2))
 
 
 def _pixels(sizes: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -520,6 +572,8 @@ def _amid(stage: _Stage) -> list[_Look]:
 
 def _within(stage: _Stage) -> list[_Look]:
     """Cameras at free places within, facing all around, as far back as there is room."""
+    if stage.is_hollow:
+        return []
     lines = np.linspace(0.1, 0.9, GRID)
     shares = np.stack(np.meshgrid(lines, lines, [0.4, 0.6], indexing="ij"), -1).reshape(-1, 3)
     places = stage.low + (stage.high - stage.low) * shares
@@ -537,10 +591,10 @@ def _within(stage: _Stage) -> list[_Look]:
     return looks
 
 
-def _chosen(stage: _Stage, tried: Sequence[_Look]) -> list[_Look]:
+def _chosen(stage: _Stage, tried: Sequence[_Look], counts: Mapping[str, int]) -> list[_Look]:
     """The looks to draw: of each kind in turn the most promising, those from other places first."""
     ranks: list[tuple[int, _Look]] = []
-    for kind, count in DRAWN.items():
+    for kind, count in counts.items():
         from_there: Counter[bytes] = Counter()
         rounds: list[tuple[int, int, _Look]] = []
         looks = [look for look in tried if look.kind == kind]

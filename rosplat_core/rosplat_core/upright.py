@@ -46,6 +46,10 @@ UNCUSTOMARY = 0.1  # what a direction counts that is across all of them
 NEARLY = 0.94  # cosine of 20 degrees, within which an axis is preferred to
 HARDLY_LESS = 0.75  # what is at most so many times as likely
 LEVEL = 1 - 1e-9  # cosine from which a vertical is z
+SHELL = 0.2  # least share of a scene's splats that is left out as a shell around it
+VOID = 0.1  # most share of a shell that is on the way to it
+DOME = 0.7  # most length of the mean of the directions in which it is
+NEARBY = 3  # distance within which a scene's extent is measured, in median ones
 STEADY = 0.5  # least length of the mean of the cameras' verticals, for it to be believed
 
 
@@ -111,15 +115,37 @@ def standing_pose(splats: Splats, up: ArrayLike) -> NDArray[np.float64]:
     return pose
 
 
+def shell(
+    positions: NDArray[np.float64], sizes: NDArray[np.float64], counted: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Which splats (n,) are a shell around the scene, with nothing between the two.
+
+    counted: some of the splats, evenly chosen. The third of them that is smallest is the scene's.
+    """
+    told = sizes[counted]
+    small = counted[told <= np.quantile(told, 1 / 3)]
+    outward = positions - np.median(positions[small], axis=0)
+    away = np.linalg.norm(outward, axis=1)
+    far = away > NEARBY * np.quantile(away[small], 0.9)
+    outside = counted[far[counted]]
+    if len(outside) < SHELL * len(counted):
+        return np.zeros(len(far), bool)
+    between = np.mean(away[outside] < np.median(away[outside]) / 2)
+    around = np.linalg.norm(np.mean(outward[outside] / away[outside, None], axis=0))
+    return np.asarray(far & bool(between < VOID and around < DOME))
+
+
 def _voters(
     splats: Splats, random: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Positions (n, 3) [radii] from the middle, ways that splats face (n, 3), flatness (n,)."""
     rows = np.flatnonzero(splats.opacities > OPAQUE)
     rows = random.permutation(rows)[: 25 * DRAWN] if len(rows) > 25 * DRAWN else rows
-    positions = splats.positions[rows].astype(np.float64)
     if not len(rows):
-        return positions, positions, np.zeros(0)
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+    positions = splats.positions[rows].astype(np.float64)
+    outside = shell(positions, splats.scales[rows].max(axis=1), np.arange(len(rows)))
+    rows, positions = rows[~outside], positions[~outside]
     low, high = np.quantile(positions, [0.05, 0.95], axis=0)
     radius = max(float(np.linalg.norm(high - low)) / 2, 1e-30)
     positions = (positions - (low + high) / 2) / radius

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rosplat_core import first_look
+from rosplat_core import first_look, formats
 from rosplat_core.cameras import Camera, look_at
-from rosplat_core.first_look import FirstView, first_view, sample, views_within
+from rosplat_core.first_look import FirstView, cameras_beside, first_view, sample, views_within
 from rosplat_core.generated import generate
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.splats import Splats, concatenate
@@ -145,13 +146,14 @@ def test_what_is_hidden_from_outside_is_shown_from_within() -> None:
     assert view.inside
 
 
-def test_a_hollow_object_is_shown_from_outside() -> None:
-    away = np.random.default_rng(0).normal(size=(3000, 3))
+@pytest.mark.parametrize(("count", "size"), [(3000, 0.12), (20_000, 0.03)])
+def test_a_hollow_object_is_shown_from_outside(count: int, size: float) -> None:
+    away = np.random.default_rng(0).normal(size=(count, 3))
     away *= (1, 1, 1.3) / np.linalg.norm(away, axis=1, keepdims=True)
     head = Splats(
-        positions=away, orientations=np.tile([0, 0, 0, 1], (3000, 1)),
-        scales=np.full((3000, 3), 0.12), opacities=np.full(3000, 0.9),
-        sh=np.random.default_rng(1).normal(size=(3000, 1, 3)),
+        positions=away, orientations=np.tile([0, 0, 0, 1], (count, 1)),
+        scales=np.full((count, 3), size), opacities=np.full(count, 0.9),
+        sh=np.random.default_rng(1).normal(size=(count, 1, 3)),
     )  # fmt: skip
     view = first_view(head, Z)
     assert np.linalg.norm(view.eye) > 2
@@ -190,6 +192,13 @@ def test_a_room_is_looked_at_where_it_is_furnished(dense_rooms: Splats, column: 
     assert sum(steps) > 0.37  # a bare wall has none
 
 
+def test_no_third_of_a_room_s_picture_is_a_bare_wall(rooms: Splats) -> None:
+    picture = CpuRenderer(rooms).render(first_view(rooms, Z).camera(160, 90))[..., :3]
+    parts = picture.mean(axis=-1).reshape(18, 5, 32, 5).mean(axis=(1, 3))
+    thirds = np.array_split(np.abs(np.diff(parts, axis=1)), 3, axis=1)
+    assert min(third.mean() for third in thirds) > 0.025
+
+
 def test_views_within_are_of_scenes_that_surround_them(garden: Splats, rooms: Splats) -> None:
     found = views_within(rooms, Z)
     assert len(found) > 20
@@ -221,6 +230,20 @@ def test_a_sky_and_floaters_dont_push_the_view_away(garden: Splats) -> None:
     view = first_view(concatenate([garden, sky]), Z)
     assert np.linalg.norm(view.eye) < 12
     assert alpha(garden, view).mean() > 0.2  # of the garden alone
+
+
+def test_a_shell_of_most_splats_is_a_sky(garden: Splats) -> None:
+    random = np.random.default_rng(1)
+    n = 2 * len(garden)
+    away = random.normal(size=(n, 3))
+    away *= 40 / np.linalg.norm(away, axis=1, keepdims=True)
+    away[:, 2] = np.abs(away[:, 2])
+    dome = replace(garden[np.zeros(n, int)], positions=away, scales=np.full((n, 3), 0.4))
+    view = first_view(concatenate([garden, dome]))
+    assert view.up[2] > 0.99
+    assert not view.inside
+    assert border(alpha(garden, view)) < 0.02
+    assert alpha(garden, view).mean() > 0.2
 
 
 def test_far_scenes_and_other_units_give_the_same_picture(garden: Splats) -> None:
@@ -255,3 +278,25 @@ def test_extreme_sizes_give_finite_views(garden: Splats, size: float) -> None:
     view = first_view(scene, Z)
     assert np.isfinite([*view.eye, *view.target]).all()
     view.camera(64, 48)
+
+
+def test_a_photograph_s_scene_is_seen_from_its_camera(garden: Splats, tmp_path: Path) -> None:
+    """SHARP's PLYs have it in elements of their own."""
+    camera = Camera(0, 640, 480, 500, 500, 320, 240, look_at((4.5, 2, 2), (0, 0, 0.5)))
+    formats.save(tmp_path / "photo.ply", garden)
+    assert not cameras_beside(str(tmp_path / "photo.ply"))
+    header, splats = (tmp_path / "photo.ply").read_bytes().split(b"end_header\n", 1)
+    numbers = {
+        "extrinsic": camera.world_to_camera.astype("<f4"),
+        "intrinsic": np.array([500, 0, 320, 0, 500, 240, 0, 0, 1], "<f4"),
+        "image_size": np.array([640, 480], "<u4"),
+    }
+    for name, values in numbers.items():
+        kind = "uint" if name == "image_size" else "float"
+        header += f"element {name} {values.size}\nproperty {kind} {name}\n".encode()
+    data = b"".join(values.tobytes() for values in numbers.values())
+    (tmp_path / "photo.ply").write_bytes(header + b"end_header\n" + splats + data)
+    (found,) = cameras_beside(str(tmp_path / "photo.ply"))
+    np.testing.assert_allclose(found.world_to_camera, camera.world_to_camera, atol=1e-6)
+    assert (found.width, found.height, found.fx, found.cy) == (640, 480, 500, 240)
+    np.testing.assert_allclose(first_view(garden, Z, [found]).eye, (4.5, 2, 2), atol=1e-5)
