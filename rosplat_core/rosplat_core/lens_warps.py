@@ -78,10 +78,11 @@ class Samples(NamedTuple):
     """The n pixels of a part of the lens's picture, as places in the pinhole picture."""
 
     begins: NDArray[np.uint32]
-    """Where those of each tile of TILE x TILE pixels begin, row by row of tiles, and the end."""
+    """Where those of the left half and of the right half of each tile of TILE x TILE pixels begin,
+    row by row of tiles, and the end."""
     x: NDArray[np.float32]
-    """(n,) and y (n,), where the centre of the top left pixel is (0.5, 0.5); y ascends in a tile.
-    [px]"""
+    """(n,) and y (n,), where the centre of the top left pixel is (0.5, 0.5); y ascends in a
+    half. [px]"""
     y: NDArray[np.float32]
     axis: tuple[float, float, float] | None
     """The lens's axis in the pinhole camera's frame: splats count, and are ordered, by their depths
@@ -94,9 +95,9 @@ class Samples(NamedTuple):
         """Samples at places (n, 2) in a picture [px], and which place each of them is at (n,)."""
         across, down = -(-width // TILE), -(-height // TILE)
         x, y = places.astype(np.float32).T
-        tile = (y // TILE).astype(int) * across + (x // TILE).astype(int)
-        order = np.lexsort((y, tile))
-        ends = np.cumsum(np.bincount(tile, minlength=across * down))
+        half = (y // TILE).astype(int) * (2 * across) + (x // (TILE / 2)).astype(int)
+        order = np.lexsort((y, half))
+        ends = np.cumsum(np.bincount(half, minlength=2 * across * down))
         return order, cls(np.append(0, ends).astype(np.uint32), x[order], y[order], axis)
 
 

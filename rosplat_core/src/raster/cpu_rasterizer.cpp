@@ -65,10 +65,13 @@ void checkSize(const SplatCamera& camera) {
 // Throws PictureError for samples that can't be drawn.
 void checkSamples(const PictureRequest& request, std::size_t tiles) {
   const PictureSamples& samples = *request.samples;
-  bool fits = samples.begins.size == tiles + 1 && samples.x.size == samples.y.size &&
-              samples.begins[0] == 0 && samples.begins[tiles] == samples.x.size;
-  for (std::size_t i = 0; fits && i < tiles; ++i) fits = samples.begins[i] <= samples.begins[i + 1];
-  for (std::size_t i = 0; fits && i < tiles; ++i) {  // by rows
+  const std::size_t halves = 2 * tiles;
+  bool fits = samples.begins.size == halves + 1 && samples.x.size == samples.y.size &&
+              samples.begins[0] == 0 && samples.begins[halves] == samples.x.size;
+  for (std::size_t i = 0; fits && i < halves; ++i) {
+    fits = samples.begins[i] <= samples.begins[i + 1];
+  }
+  for (std::size_t i = 0; fits && i < halves; ++i) {
     const float* const y = samples.y.data;
     fits = std::is_sorted(y + samples.begins[i], y + samples.begins[i + 1]);
   }

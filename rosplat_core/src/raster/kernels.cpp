@@ -910,14 +910,17 @@ bool ended(const float* transmittance, const float* behind, float ends_at) {
 constexpr std::size_t kAhead = 8;      // records are prefetched this many splats ahead
 constexpr std::size_t kPatience = 32;  // splats between tests whether a tile has ended
 
-// Calls blend(sample, exponents, covered, depths) for each vector of samples.
+// Calls blend(sample, exponents, covered, depths) for each vector of samples of a half of a tile.
 template <typename Blend>
-void atSamples(const ListedTile& tile, const Record& e, const RayShape& shape, const Blend& blend) {
+void atSamples(const ListedTile& tile, int half, const Record& e, const RayShape& shape,
+               const Blend& blend) {
   const TileSamples& samples = tile.samples;
-  const int first = samples.rows[least(most(e.top - tile.top, 0), kTile)];
-  const int last = samples.rows[least(most(e.bottom - tile.top, 0), kTile)];
+  const auto rowsBefore = [&](int line) {
+    return int(samples.rows[half][least(most(line - tile.top, 0), kTile)]);
+  };
+  const int first = rowsBefore(e.top), last = rowsBefore(e.bottom);
   const int vectors = (last - first + kLanes - 1) / kLanes;
-  const int begin = least(first, kTilePixels - vectors * kLanes);
+  const int begin = half * kHalfTile + least(first, kHalfTile - vectors * kLanes);
   // Of the tile's corner.
   const float dx = float(tile.left) - e.x, dy = float(tile.top) - e.y;
   const Floats u_there = all(e.ux * dx + e.uy * dy + shape.u);
@@ -926,7 +929,7 @@ void atSamples(const ListedTile& tile, const Record& e, const RayShape& shape, c
   const Floats peak = all(e.peak), depth = all(e.depth);
   const Floats end = all(e.share < 0.0f ? kBallEnd : kCutoffEnd);
   const auto along = [&](const auto& withSpot) {
-    for (int i = begin; i < last; i += kLanes) {
+    for (int i = begin; i < begin + vectors * kLanes; i += kLanes) {
       const Floats x = load(samples.x + i), y = load(samples.y + i);
       const Floats u = fma(x, all(e.ux), fma(y, all(e.uy), u_there));
       const Floats v = fma(x, all(e.vx), fma(y, all(e.vy), v_there));
@@ -976,7 +979,9 @@ bool walk(const ListedTile& tile, const float* transmittance, const float* behin
     const Record& e = records[listed[k].record];
     const auto blend = blendOf(e);
     if (kConic && tile.samples.x) {
-      atSamples(tile, e, tile.shapes[listed[k].record], blend);
+      const RayShape& shape = tile.shapes[listed[k].record];
+      if (e.left < left + kTile / 2) atSamples(tile, 0, e, shape, blend);
+      if (e.right > left + kTile / 2) atSamples(tile, 1, e, shape, blend);
       continue;
     }
     const int first = most(e.top - top, 0), last = least(e.bottom - top, kTile);

@@ -139,13 +139,14 @@ struct Footprint {
   float between;  // as ProjectView's
 };
 
-// Samples in place of a tile's pixels, kTilePixels at most; padded to a whole vector. What a ray's
-// line meets behind the camera doesn't count.
+// Samples in place of a tile's pixels: kHalfTile at most of its left half, and from there on as
+// many of its right half, each by y. What a ray's line meets behind the camera doesn't count.
+constexpr int kHalfTile = kTilePixels / 2;
 struct TileSamples {
-  const float* x;  // from the tile's corner [px]
+  const float* x;  // from the tile's corner [px]; null: there are none
   const float* y;
-  // Where those of each of the tile's rows of pixels begin, and the end.
-  const std::uint16_t* rows;
+  // Where those of each half's rows of pixels begin in it, and the end.
+  std::uint16_t rows[2][kTile + 1];
 };
 
 // A splat in the list of a tile.
@@ -168,7 +169,7 @@ struct ListedTile {
   const Record* records;
   const RayShape* shapes;  // one for each record; null: all are flat
   bool planes;             // of flat records, which shapes are
-  TileSamples samples;     // null: pixels. Requires shapes
+  TileSamples samples;     // in place of pixels, if any. Requires shapes
   int left, top;           // [px]
   const float* opaque;     // window depths of opaque objects, which hide splats behind; or null
 };

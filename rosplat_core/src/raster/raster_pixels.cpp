@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <numeric>
 #include <utility>
 
 #include "raster/raster_work.hpp"
@@ -97,52 +98,59 @@ void CpuRasterizer::Work::blend(const PictureRequest& request, SplatPicture& pic
   }
 }
 
-// Blends a tile's samples, as many at a time as a tile has pixels.
+// Blends a tile's samples, at most as many at a time as a tile has pixels.
 void CpuRasterizer::Work::blendSamples(const PictureRequest& request, SplatPicture& picture,
                                        bool first, std::size_t number, Member& member) {
   if (inTile(number) == 0 && !first) return;
   const PictureSamples& samples = *request.samples;
   const bool deep = request.depth != PictureDepth::kNone;
   TilePixels& pixels = member.pixels;
-  const int left = int(number) % across * kTile, top = int(number) / across * kTile;
-  const std::size_t end = samples.begins[number + 1];
-  for (std::size_t begin = samples.begins[number]; begin < end; begin += kTilePixels) {
-    const std::size_t count = std::min<std::size_t>(end - begin, kTilePixels);
+  BlendTile tile{};
+  tile.listed = listed.get() + begins[number];
+  tile.count = inTile(number);
+  tile.records = records.get();
+  tile.shapes = shapes.get();
+  tile.left = int(number) % across * kTile;
+  tile.top = int(number) / across * kTile;
+  tile.ends_at = ends_at;
+  tile.pixels = &pixels;
+  float* const x = member.opaque;
+  float* const y = member.divided;
+  tile.samples.x = x, tile.samples.y = y;
+  const std::uint32_t* const halves = samples.begins.data + 2 * number;
+  const std::size_t most = std::max(halves[1] - halves[0], halves[2] - halves[1]);
+  for (std::size_t done = 0; done < most; done += kHalfTile) {
     std::memset(&pixels, 0, sizeof(pixels));
-    std::fill_n(member.opaque, kTilePixels, 0.0f);
-    std::fill_n(member.divided, kTilePixels, 0.0f);
-    for (std::size_t i = 0; i < count; ++i) {
-      member.opaque[i] = samples.x[begin + i] - float(left);
-      member.divided[i] = samples.y[begin + i] - float(top);
+    // Calls each(place in the tile, sample) for those of one half.
+    const auto forEach = [&](int half, const auto& each) {
+      const std::size_t begin = std::min<std::size_t>(halves[half] + done, halves[half + 1]);
+      const std::size_t end = std::min<std::size_t>(begin + kHalfTile, halves[half + 1]);
+      for (std::size_t i = begin; i < end; ++i) each(half * kHalfTile + (i - begin), i);
+    };
+    for (int half = 0; half < 2; ++half) {
+      std::fill_n(x + half * kHalfTile, kHalfTile, 0.0f);
+      std::fill_n(y + half * kHalfTile, kHalfTile, 0.0f);
+      std::uint16_t* const rows = tile.samples.rows[half];
+      std::fill_n(rows, kTile + 1, std::uint16_t{});
+      forEach(half, [&](std::size_t place, std::size_t i) {
+        x[place] = samples.x[i] - float(tile.left);
+        y[place] = samples.y[i] - float(tile.top);
+        ++rows[std::clamp(int(y[place]), 0, kTile - 1) + 1];
+        const float* const rgba = &picture.colour[4 * i];
+        pixels.transmittance[place] = first ? 1 : 1 - rgba[3];
+        for (int k = 0; k < 3 && !first; ++k) pixels.colour[k][place] = rgba[k];
+        if (deep && !first) pixels.depth[place] = picture.depth[i];
+      });
+      std::partial_sum(rows, rows + kTile + 1, rows);
     }
-    std::uint16_t rows[kTile + 1];
-    for (int row = 0, above = 0; row <= kTile; ++row) {
-      const auto y = float(row);
-      while (above < int(count) && (member.divided[above] < y || row == kTile)) ++above;
-      rows[row] = std::uint16_t(above);
-    }
-    for (std::size_t i = 0; i < count; ++i) {
-      const float* const rgba = &picture.colour[4 * (begin + i)];
-      pixels.transmittance[i] = first ? 1 : 1 - rgba[3];
-      for (int k = 0; k < 3 && !first; ++k) pixels.colour[k][i] = rgba[k];
-      if (deep && !first) pixels.depth[i] = picture.depth[begin + i];
-    }
-    BlendTile tile{};
-    tile.listed = listed.get() + begins[number];
-    tile.count = inTile(number);
-    tile.records = records.get();
-    tile.shapes = shapes.get();
-    tile.left = left;
-    tile.top = top;
-    tile.samples = {member.opaque, member.divided, rows};
-    tile.ends_at = ends_at;
-    tile.pixels = &pixels;
     kernels.blend(tile, request.depth);
-    for (std::size_t i = 0; i < count; ++i) {
-      float* const rgba = &picture.colour[4 * (begin + i)];
-      for (int k = 0; k < 3; ++k) rgba[k] = pixels.colour[k][i];
-      rgba[3] = 1 - pixels.transmittance[i];
-      if (deep) picture.depth[begin + i] = pixels.depth[i];
+    for (int half = 0; half < 2; ++half) {
+      forEach(half, [&](std::size_t place, std::size_t i) {
+        float* const rgba = &picture.colour[4 * i];
+        for (int k = 0; k < 3; ++k) rgba[k] = pixels.colour[k][place];
+        rgba[3] = 1 - pixels.transmittance[place];
+        if (deep) picture.depth[i] = pixels.depth[place];
+      });
     }
   }
 }

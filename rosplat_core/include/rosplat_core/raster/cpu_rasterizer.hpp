@@ -39,8 +39,10 @@ struct PictureLayer {
 // pierce a face of a cube around the camera. Each is seen along its own ray, so that the faces have
 // no seams. What a ray's line meets behind the camera doesn't count.
 struct PictureSamples {
-  ArrayView<std::uint32_t> begins;  // of each tile's samples, row by row of tiles, and the end
-  ArrayView<float> x, y;            // sorted by tile, and there by row of pixels [px]
+  // Of the samples of each tile's left half and of its right half, row by row of tiles; and the
+  // end.
+  ArrayView<std::uint32_t> begins;
+  ArrayView<float> x, y;  // sorted by half of a tile, and there by y [px]
   // The lens's own axis in the face's frame: depths along it decide on clips and order. Unset, for
   // a lens that sees behind itself: distances do.
   std::optional<std::array<float, 3>> axis;
