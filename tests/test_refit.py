@@ -146,6 +146,19 @@ def test_vector_instructions_make_no_difference() -> None:
     np.testing.assert_allclose(best[1], plain[1], rtol=1e-3, atol=1e-5 * np.abs(plain[1]).max())
 
 
+def test_a_gradient_is_the_sum_of_its_parts() -> None:
+    """Whatever width a part has: nothing counts beyond its edge, where vectors of pixels reach."""
+    splats, seen = scene(1, Model.EWA), camera(orthographic=False)
+    target = np.full((seen.height, seen.width, 3), 0.3, np.float32)
+    _, whole = refit_of(splats).gradient_at(posed(seen), target)
+    parts = np.zeros_like(whole)
+    for left, width in ((0, 19), (19, seen.width - 19)):
+        part = posed(seen).crop(left, 0, width, seen.height)
+        _, gradient = refit_of(splats).gradient_at(part, target[:, :width].copy())
+        parts += gradient * (width / seen.width)
+    np.testing.assert_allclose(parts, whole, rtol=1e-3, atol=1e-5 * np.abs(whole).max())
+
+
 def test_a_part_of_a_view_has_that_view_s_pixels() -> None:
     splats, seen = scene(1, Model.EWA), posed(camera(orthographic=False))
     whole = picture(CpuRenderer(rounded(splats)), seen)

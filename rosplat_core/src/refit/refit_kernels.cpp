@@ -78,9 +78,9 @@ double fitTile(const FitTile& tile) {
     });
   }
 
-  // The derivative by each pixel's colour takes that colour's place. behind: the dot product of
-  // that derivative with the colour that splats farther back still add.
-  alignas(64) float behind[kPixels] = {};
+  // The derivative by each pixel's colour: none beyond the picture, where vectors of pixels reach.
+  // behind: its dot product with the colour that splats farther back still add.
+  alignas(64) float gradients[3][kPixels] = {}, behind[kPixels] = {};
   double error = 0;
   for (int row = 0; row < tile.bottom - tile.top; ++row) {
     const float* wanted =
@@ -88,13 +88,13 @@ double fitTile(const FitTile& tile) {
     for (int column = 0; column < tile.right - tile.left; ++column) {
       const int pixel = kTile * row + column;
       for (int i = 0; i < 3; ++i) {
-        float& colour = planes.colour[i][pixel];
+        const float colour = planes.colour[i][pixel];
         const float shown = colour < 1.0f ? colour : 1.0f;
         const float difference = shown - *wanted++;
         error += double(difference) * difference;
         const float gradient = tile.gradient_scale * difference;
         behind[pixel] += gradient * colour;
-        colour = gradient;
+        gradients[i][pixel] = gradient;
       }
     }
   }
@@ -110,7 +110,7 @@ double fitTile(const FitTile& tile) {
       store(planes.transmittance + pixel, transmittance - weight);
       Floats along = {};
       for (int i = 0; i < 3; ++i) {
-        const Floats gradient = load(planes.colour[i] + pixel);
+        const Floats gradient = load(gradients[i] + pixel);
         along = fma(gradient, all(e.colour[i]), along);
         colours[i] = fma(weight, gradient, colours[i]);
       }
