@@ -249,6 +249,19 @@ def test_so_many_bytes(tmp_path: Path, ending: str) -> None:
     assert 0.9 * most < out.stat().st_size <= most
 
 
+def test_what_is_left_makes_up_for_what_left(
+    garden: Splats, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, plain = Simplification(garden), Simplification(garden)
+    made.reduce(1000)
+    monkeypatch.setattr(Simplification, "_brighten", lambda _: None)
+    plain.reduce(1000)
+    ours, others = made.judge(made.splats), made.judge(plain.splats)
+    assert ours.mean > others.mean + 0.3
+    assert ours.worst > others.worst
+    assert (made.splats.sh[:, 1:] == plain.splats.sh[:, 1:]).all()
+
+
 def test_fewer_bytes_than_any_file(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([GARDEN, str(out), "--max-bytes", "10"]) == 1
     assert "1 splats take " in capsys.readouterr().err
@@ -409,7 +422,7 @@ def test_the_worst_of_the_views_is_the_one_that_is_shown(garden: Splats) -> None
 def test_a_picture_of_the_worst_view(
     out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = [GARDEN, str(out), "--max-splats", "500", "--picture"]
+    arguments = [GARDEN, str(out), "--max-splats", "1000", "--picture"]
     assert main([*arguments, str(tmp_path / "worst.bmp")]) == 1
     assert "worst.bmp: a picture ends in .png or .jpg" in capsys.readouterr().err
     assert main([*arguments, str(tmp_path / "worst.png")]) == 0
