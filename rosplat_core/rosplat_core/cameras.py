@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core import foreign_cameras
+from rosplat_core.formats.strangers import impostor
 from rosplat_core.log_text import shown
 from rosplat_core.program.files import write_text
 from rosplat_core.quaternions import from_matrices, to_matrices
@@ -169,7 +170,8 @@ def load_cameras(
     except (ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{path}: not JSON: {error}") from error
+        what = impostor(path.read_bytes() if path.is_file() else b"") or f"not JSON: {error}"
+        raise InputError(f"{path}: {what}") from error
     for text in dict.fromkeys(told):
         warn(text)
     if not isinstance(entries, list):

@@ -256,3 +256,9 @@ def test_what_a_camera_lacks_is_named(tmp_path: Path) -> None:
     model = colmap(tmp_path, "PINHOLE 9 9 5 5 4 4", ["1 1 0 0 0 0 0 0 7 a.png"])
     with pytest.raises(InputError, match=r"picture a\.png: .*no camera 7"):
         load_cameras(model)
+
+
+def test_a_pointer_in_place_of_cameras_is_named(tmp_path: Path) -> None:
+    (tmp_path / "cameras.json").write_text("version https://git-lfs.github.com/spec/v1\n")
+    with pytest.raises(InputError, match=r"cameras\.json: a pointer of Git LFS"):
+        load_cameras(tmp_path / "cameras.json")

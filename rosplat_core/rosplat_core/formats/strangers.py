@@ -15,16 +15,23 @@ PACKED = {
     b"\x28\xb5\x2f\xfd": "packed by Zstandard",
 }  # fmt: skip
 EXPORT = "have its trainer export a PLY"
+BAG = "a bag of ROS: play it, and `follow` hears the maps in it"
 OTHERS = {
     b"LASF": "a point cloud (LAS), not of splats",
     b"# .PCD": "a point cloud (PCD), not of splats",
     b"ASTM-E57": "a point cloud (E57), not of splats",
     b"\x89HDF": f"HDF5: {EXPORT}",
-    b"\x80\x02": f"a pickle of Python, a checkpoint perhaps: {EXPORT}",
-}
+    b"\x93NUMPY": "an array of NumPy",
+    b"\x89MCAP": BAG, b"SQLite format 3": BAG, b"#ROSBAG": BAG,
+    **{
+        bytes([0x80, protocol]): f"a pickle of Python, a checkpoint perhaps: {EXPORT}"
+        for protocol in (2, 3, 4, 5)
+    },
+}  # fmt: skip
 LCC = (".lcc", ".lcc2")  # XGRIDS'
 PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF")
 MOST_NAMES = 3
+LONGEST_LINE = 60  # of a text that is quoted [characters]
 
 
 def impostor(head: bytes) -> str:
@@ -37,8 +44,18 @@ def impostor(head: bytes) -> str:
 
 
 def packed(head: bytes) -> bool:
-    """Whether a file is an archive, or packed by a program that packs any file."""
-    return head.startswith((ZIP, *PACKED))
+    """Whether a file is an archive, or packed by a program that packs any file; or text."""
+    return head.startswith((ZIP, *PACKED)) or bool(_text(head))
+
+
+def _text(head: bytes) -> str:
+    """The first line of a file of text, as most programs write it; empty for any other."""
+    wide = head.startswith((b"\xff\xfe", b"\xfe\xff"))
+    try:
+        lines = head.decode("utf-16" if wide else "utf-8-sig").split()
+    except UnicodeDecodeError:
+        return ""
+    return " ".join(lines)[:LONGEST_LINE] if all(map(str.isprintable, lines)) else ""
 
 
 def stranger(path: Path, head: bytes) -> str:
@@ -61,6 +78,10 @@ def stranger(path: Path, head: bytes) -> str:
         return "a picture"
     if head.lstrip()[:1] in (b"{", b"["):
         return "JSON, and no scene in it is known"
+    if text := _text(head):
+        if text.startswith("ply"):
+            return "a PLY in another text than ASCII: save it as that, without a byte order mark"
+        return f"text, which begins '{text}'"
     return ""
 
 
