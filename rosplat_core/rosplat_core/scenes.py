@@ -7,6 +7,7 @@ import re
 from rosplat_core import formats
 from rosplat_core.formats import Into, IntoSplats, Made, Progress, Warn
 from rosplat_core.generated import generate_into
+from rosplat_core.models import Model
 from rosplat_core.program.typed_numbers import whole_number
 from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats
@@ -91,3 +92,12 @@ def _numbers(name: str) -> tuple[int, int]:
 def _check(name: str, count: int) -> None:
     if count > MAX_SLOTS:
         raise InputError(f"{name}: {count:,} splats; a map has at most {MAX_SLOTS:,}")
+
+
+def model_of(name: str, model: Model) -> str:
+    """The model of a scene that was loaded, for people: of files, EWA is what remains.
+
+    Few files say it, and some formats could say nothing else.
+    """
+    unsaid = model is Model.EWA and not is_generated(name)
+    return f"{model}, as the file tells of no other" if unsaid else str(model)

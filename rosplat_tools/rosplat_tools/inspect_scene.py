@@ -12,11 +12,10 @@ from rosplat_core.cameras import UP, orbit, place
 from rosplat_core.depth import LEAST_ALPHA
 from rosplat_core.formats import InputError, axes, format_of, gltf, scene_file, streamed_sog
 from rosplat_core.log_text import shown
-from rosplat_core.models import Model
 from rosplat_core.program.output import say, told
 from rosplat_core.program.progress import watched
 from rosplat_core.rendering import CpuRenderer, posed, psnr_of
-from rosplat_core.scenes import NAMES, is_generated, read_scene
+from rosplat_core.scenes import NAMES, is_generated, model_of, read_scene
 from rosplat_core.splats import Splats
 
 VIEWS = 8  # in which two orders of drawing are compared
@@ -39,7 +38,7 @@ def describe(path: str | Path) -> str:
         "splats": f"{len(splats):,}",
         "SH degree": degree,
         "axes": "z up" if is_generated(str(path)) else axes(path).text,
-        "model": _model(str(path), splats.model),
+        "model": model_of(str(path), splats.model),
         "in memory": f"{_bytes(used.nbytes)}, {used.nbytes // max(1, len(used))} bytes per splat",
     }
     rows |= _drawn(str(path), splats)
@@ -61,12 +60,6 @@ def describe(path: str | Path) -> str:
     if left_out:
         rows["note"] = "; ".join(left_out)
     return "\n".join(f"{name:<12} {shown(value, LONGEST_ROW)}" for name, value in rows.items())
-
-
-def _model(name: str, model: Model) -> str:
-    """Of files, EWA is what remains: few say it, and some formats could say nothing else."""
-    unsaid = model is Model.EWA and not is_generated(name)
-    return f"{model}, as the file tells of no other" if unsaid else str(model)
 
 
 def _format(name: str) -> str:

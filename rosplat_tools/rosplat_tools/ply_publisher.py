@@ -16,7 +16,7 @@ from rosplat_core import formats
 from rosplat_core.log_text import shown
 from rosplat_core.program.output import told
 from rosplat_core.program.progress import bar
-from rosplat_core.scenes import NAMES, is_generated, load_scene_into
+from rosplat_core.scenes import NAMES, is_generated, load_scene_into, model_of
 from rosplat_core.splats import LONGEST_ERROR, InputError, PackedSplats
 from rosplat_msgs.srv import LoadScene, SaveMap
 from rosplat_ros.map_publisher import MapPublisher
@@ -134,7 +134,7 @@ class PlyPublisher(Node):
                 raise
         text = (
             f"{path}: {len(splats):,} splats, SH degree {splats.sh_degree}, "
-            f"model {splats.model}, "
+            f"model {splats.model if self._model is not None else model_of(path, splats.model)}, "
             f"loaded and sent in {time.monotonic() - start:.1f} s"
         )
         self.get_logger().info(shown(text, 500))
