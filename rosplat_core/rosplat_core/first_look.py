@@ -71,6 +71,7 @@ CLOSE = 0.15  # distance within which things are too close, in the scene's radii
 MOST_BENT = 0.1  # that counts, of 1 / depth
 BARE = 0.005  # difference between parts of a bare wall
 TILE = 4  # edge of parts of a picture that are compared [px]
+MIDDLE = slice(6, -6)  # columns of these that a window as wide as high shows, too
 SURROUNDED = 0.9  # least part of pictures from within that is covered, for the scene to surround it
 HIDDEN = 0.2  # share of a scene that is shown from within if no camera around it shows more
 MARGIN = 0.9  # part of a picture that a whole object may fill
@@ -281,11 +282,11 @@ class _Seen:
     """The part that is close, or near and blurred."""
     sharp: float
     contrast: float
-    """Standard deviation of the colours, from 0.02."""
+    """Standard deviation of the colours in the middle, from 0.02."""
     variety: float
     """Mean difference between neighbouring parts."""
     spread: float
-    """Their geometric mean: small where much of the picture is bare."""
+    """Their geometric mean in the middle: small where much of that is bare."""
     depth: float
     """Mean of what is shown, in the scene's radii, 1 at most."""
     vista: float
@@ -405,7 +406,7 @@ class _Stage:
         close = (depth < CLOSE) | ((pixels > BLURRED) & (depth < 0.75 * self.core))
         near = painted[..., :2] * here[..., None]
         tiles = near.reshape(HEIGHT // TILE, TILE, WIDTH // TILE, TILE, 2).mean(axis=(1, 3))
-        steps = [np.abs(np.diff(tiles, axis=axis)).sum(axis=-1) for axis in (0, 1)]
+        steps = (np.abs(np.diff(tiles, axis=axis)).sum(axis=-1).mean() for axis in (0, 1))
         reach = np.minimum(depth, 1)
         return _Seen(
             shown=self._shown(look, depth),
@@ -413,9 +414,9 @@ class _Stage:
             enclosed=float((alpha * here).mean()),
             spoilt=float((alpha * close).mean()),
             sharp=float((alpha / (1 + pixels / RESOLVED)).mean()) / max(covered, 1e-3),
-            contrast=max(0.02, float(tiles.std(axis=(0, 1)).sum())),
-            variety=float(sum(step.mean() for step in steps)),
-            spread=_spread(steps, depth),
+            contrast=max(0.02, float(tiles[:, MIDDLE].std(axis=(0, 1)).sum())),
+            variety=float(sum(steps)),
+            spread=_spread(tiles[:, MIDDLE], depth[::TILE, ::TILE][:, MIDDLE]),
             depth=float(reach.mean()),
             vista=float(np.quantile(reach, 0.95)),
             cut=self._cut(look),
@@ -505,15 +506,16 @@ _RAYS = np.stack(  # of a picture's pixels, of unit depth
 )
 
 
-def _spread(steps: Sequence[NDArray[np.floating]], depth: NDArray[np.float32]) -> float:
-    """The geometric mean of what parts of a picture show: other colours than their neighbours,
-    given as differences down and across, or another plane, across which 1 / depth bends."""
-    near = 1 / np.maximum(depth[TILE // 2 :: TILE, TILE // 2 :: TILE], 1e-3)
-    shown = []
-    for axis, step in enumerate(steps):
+def _spread(tiles: NDArray[np.floating], depth: NDArray[np.float32]) -> float:
+    """The geometric mean of what parts of a picture show: other colours than their neighbours, or
+    another plane, across which 1 / depth bends."""
+    near = 1 / np.maximum(depth, 1e-3)
+    told = 0.0
+    for axis in (0, 1):
+        step = np.delete(np.abs(np.diff(tiles, axis=axis)).sum(axis=-1), 0, axis=axis)
         bends = np.abs(np.diff(near, 2, axis=axis)) / np.delete(near, [0, -1], axis=axis)
-        shown.append(np.delete(step, 0, axis=axis) + np.minimum(bends, MOST_BENT))
-    return float(np.exp(sum(np.log(BARE + each).mean() for each in shown) / 2))
+        told += float(np.log(BARE + step + np.minimum(bends, MOST_BENT)).mean()) / 2
+    return math.exp(told)
 
 
 def _pixels(sizes: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
