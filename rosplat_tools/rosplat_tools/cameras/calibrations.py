@@ -28,6 +28,7 @@ _MATRICES = {
     "p": ("projection_matrix", 12),
 }
 _OPTIONAL = ("r", "p")
+_MOST_FOCAL = 1e9  # beyond, powers of it are too large for a float [px]
 _MOST_SKEW = 0.5  # of an f-theta camera's picture, over all of it [px]
 
 
@@ -143,8 +144,9 @@ def _f_theta(content: dict[str, Any]) -> Lens:
     if max(abs(d), abs(e)) * max(width, height) > _MOST_SKEW:
         raise LensError(f"linear_cde is {c}, {d}, {e}: a skewed picture")
     focal = forward[1]
-    if not focal > 0:
-        raise LensError(f"angle_to_pixeldist_poly rises by {focal}, expected more than 0")
+    if not 0 < focal < _MOST_FOCAL:
+        expected = f"more than 0, less than {_MOST_FOCAL:.0e}"
+        raise LensError(f"angle_to_pixeldist_poly rises by {focal}, expected {expected}")
     (most,) = _numbers({"data": [content.get("max_angle", 0.0)]}, "max_angle", 1)
     coefficients = [*(k / focal for k in forward), most]
     reference = content.get("reference_poly")
