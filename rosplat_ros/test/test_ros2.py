@@ -72,6 +72,8 @@ def test_what_there_is_not_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         ros2.main(["--help"])
     assert "come with an installed ROS 2" in capsys.readouterr().out
+    assert ros2.main(["launch", "rviz_gaussian_plugin", "view.launch.py"]) == 2
+    assert "ros2: launch: it and others come with an installed" in capsys.readouterr().err
 
 
 def test_messages_are_lines_of_names_and_values() -> None:

@@ -19,6 +19,8 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosplat_core.program.output import say
 from rosplat_ros.program.processes import ProcessError, node_command
 
+COMMANDS = ("run", "topic", "node", "param")
+ELSEWHERE = "come with an installed ROS 2; `make demo SCENE=path` shows a scene without"
 SETTLED = 1.5  # the graph is known once it stayed the same for so long [s]
 PATIENCE = 5.0  # for the first other node, and for a node's answer [s]
 VALUES = {
@@ -171,7 +173,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="ros2",
         description=__doc__,
-        epilog="launch, bag, service and the rest come with an installed ROS 2.",
+        epilog=f"launch, bag, service and the rest {ELSEWHERE}",
     )
     verbs = parser.add_subparsers(required=True, metavar="COMMAND")
     run = verbs.add_parser("run", help="run a package's program", prefix_chars="\0", add_help=False)
@@ -212,6 +214,10 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; 1 where there isn't what it asks for."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments[:1] and arguments[0].isalpha() and arguments[0] not in COMMANDS:
+        print(f"ros2: {arguments[0]}: it and others {ELSEWHERE}", file=sys.stderr)
+        return 2
     options = _parser().parse_args(arguments)
     try:
         if options.work is run_program:
