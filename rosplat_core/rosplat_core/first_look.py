@@ -42,7 +42,7 @@ from rosplat_core.payload import PACKED, decode
 from rosplat_core.quaternions import from_matrices, product
 from rosplat_core.rendering import CpuRenderer, posed
 from rosplat_core.splats import InputError, PackedSplats, Splats, check_splats, unit
-from rosplat_core.upright import NEARBY, find_up, shell
+from rosplat_core.upright import NEARBY, find_up, photographed, shell
 
 _log = logging.getLogger(__name__)
 
@@ -168,6 +168,7 @@ def first_view(
     if not isinstance(splats, PackedSplats):
         check_splats(splats)
     check_cameras(cameras)
+    cameras = cameras or photographed(sample(splats))
     up = unit(splats.up or find_up(sample(splats), cameras) if up is None else up)
     if not len(splats):
         return FirstView(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]))

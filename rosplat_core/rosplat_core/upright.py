@@ -46,6 +46,7 @@ UNCUSTOMARY = 0.1  # what a direction counts that is across all of them
 NEARLY = 0.94  # cosine of 20 degrees, within which an axis is preferred to
 HARDLY_LESS = 0.75  # what is at most so many times as likely
 LEVEL = 1 - 1e-9  # cosine from which a vertical is z
+WIDEST, NARROWEST = 1.2, 0.4  # slope of rays of a photograph; between 90 % of them
 SHELL = 0.2  # least share of a scene's splats that is left out as a shell around it
 VOID = 0.1  # most share of a shell that is on the way to it
 DOME = 0.7  # most length of the mean of the directions in which it is
@@ -59,7 +60,7 @@ def find_up(splats: Splats, cameras: Sequence[Camera] = ()) -> NDArray[np.float6
     -y where there is nothing to tell by.
     """
     customs = np.array(CUSTOMS, np.float64)
-    if cameras:
+    if cameras := cameras or photographed(splats):
         mean = np.mean([-camera.world_to_camera[1, :3] for camera in cameras], axis=0)
         if np.linalg.norm(mean) > STEADY:
             customs = np.array([[*(mean / np.linalg.norm(mean)), 1.0]])
@@ -93,6 +94,24 @@ def find_up(splats: Splats, cameras: Sequence[Camera] = ()) -> NDArray[np.float6
     if axes[near] @ up > NEARLY and likelihood[near] > HARDLY_LESS * likelihood.max():
         return np.asarray(axes[near])
     return up
+
+
+def photographed(splats: Splats) -> list[Camera]:
+    """The camera of a scene that is all before its origin, as one made of a photograph; else none.
+
+    Which looks along z, as most do, or along -z.
+    """
+    points = splats.positions[splats.opacities > OPAQUE].astype(np.float64) + splats.origin
+    for sign in (1.0, -1.0):
+        before = sign * points[:, 2] > 0
+        slopes = np.abs(points[before, :2]) / (sign * points[before, 2:])
+        if (slopes < WIDEST).all(axis=1).sum() > 0.99 * max(len(points), 100):
+            spread = np.ptp(
+                np.quantile(points[before, :2] / points[before, 2:], [0.05, 0.95], 0), 0
+            )
+            if spread.min() > NARROWEST:
+                return [Camera(0, 2, 2, 1.0, 1.0, 1.0, 1.0, np.diag([1, sign, sign, 1]))]
+    return []
 
 
 def standing_pose(splats: Splats, up: ArrayLike) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from rosplat_core import first_look, formats
 from rosplat_core.cameras import Camera, look_at
 from rosplat_core.first_look import FirstView, cameras_beside, first_view, sample, views_within
 from rosplat_core.generated import generate
-from rosplat_core.rendering import CpuRenderer
+from rosplat_core.rendering import CpuRenderer, posed
 from rosplat_core.splats import Splats, concatenate
 
 Z = (0.0, 0.0, 1.0)
@@ -263,6 +263,28 @@ def test_of_cameras_that_took_the_scene_the_best_is_shown(garden: Splats) -> Non
     np.testing.assert_allclose(view.eye, there.position, atol=1e-6)
     ahead = (view.target - view.eye) / np.linalg.norm(view.target - view.eye)
     np.testing.assert_allclose(ahead, there.world_to_camera[2, :3], atol=1e-6)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_relief_is_seen_from_where_its_photograph_was_taken(rooms: Splats, sign: int) -> None:
+    """With z ahead and y down, or -z ahead and y up."""
+    camera = first_view(rooms, Z).camera(320, 240)
+    drawn = CpuRenderer(rooms).draw(posed(camera), mean_depth=True)
+    v, u = np.mgrid[:240:2, :320:2]
+    depth = drawn["depth"][v, u, 0].ravel()
+    rays = np.column_stack([u.ravel() - 160, v.ravel() - 120, np.full(u.size, camera.fx)])
+    n = len(rays)
+    relief = Splats(
+        positions=rays / camera.fx * depth[:, None] * (1, sign, sign),
+        orientations=np.tile([0, 0, 0, 1], (n, 1)),
+        scales=np.repeat(1.2 * depth[:, None] / camera.fx, 3, axis=1), opacities=np.full(n, 0.9),
+        sh=(drawn["colour"][v, u, :3].reshape(n, 1, 3) - 0.5) / 0.2821,
+    )  # fmt: skip
+    view = first_view(relief)
+    np.testing.assert_allclose(view.eye, 0, atol=1e-6)
+    assert sign * view.target[2] > 0.5
+    assert -sign * view.up[1] > 0.9
+    assert alpha(relief, view, 120, 90).mean() > 0.9
 
 
 @pytest.mark.parametrize("count", [1, 2, 10])
