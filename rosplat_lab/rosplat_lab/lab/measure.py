@@ -31,7 +31,7 @@ from rosplat_lab.lab import moving, orders
 from rosplat_lab.lab.ways import MODEL, OURS, WHOLE, WINDOW, Way, counted, maps, ways
 
 TIME, ERROR = "frame", "PSNR"  # names of what is measured
-PICTURE, QUICK_PICTURE = (1280, 720), (320, 180)
+PICTURE, QUICK_PICTURE = (1280, 720), (160, 90)
 VIEWS = ((scenes.overview, 0.0), (scenes.inside, 0.0), (scenes.overview, 2.5), (scenes.inside, 2.5))
 """Cameras, and by how much they are turned around the scene. [rad]"""
 PASSES, QUICK_PASSES = 5, 2

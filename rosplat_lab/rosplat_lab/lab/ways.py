@@ -34,7 +34,7 @@ MODELS = {Model.EWA: "EWA", Model.EWA_ANTIALIASED: "EWA Antialiased", Model.RAY:
 
 WHOLE = "whole"
 MOST_SIMPLIFIED = 1_000_000  # splats that `simplify` is tried with
-REFIT_MINUTES, QUICK_REFIT_MINUTES = 0.5, 0.05
+REFIT_MINUTES, QUICK_REFIT_MINUTES = 0.5, 0.02
 ARRAYS = [field.name for field in fields(payload.Arrays)]
 TURNING = np.radians(30)  # of a camera with late orders [rad/s]
 
