@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.posed_camera import CameraError, PosedCamera
+from rosplat_core.quaternions import to_matrices
 
 # The reach of the low-pass filter, 3.33 * sqrt(0.3) = 1.82 px, and of a disc's spot, 3.33 *
 # sqrt(0.5) = 2.35 px, with room for rounding.
@@ -56,7 +57,7 @@ class SortView:
         Raises CameraError for a camera that float32 can't hold.
         """
         frames = np.asarray(frames, np.float64)
-        rotation = rotation_matrix(*camera.orientation).T
+        rotation = frame_at(camera.position, camera.orientation)[:3, :3].T
         # Sums of three are written out: rounding in NumPy's depends on the number of groups.
         with np.errstate(over="ignore", invalid="ignore"):
             x, y, z = (np.asarray(camera.position) - frames[:, :3, 3]).T[:, :, None]
@@ -103,7 +104,7 @@ def frame_at(
     """
     frame = np.eye(4)
     largest = max(map(abs, orientation))  # divides all, since its square may overflow
-    frame[:3, :3] = rotation_matrix(*(value / largest for value in orientation))
+    frame[:3, :3] = to_matrices([value / largest for value in orientation])
     frame[:3, 3] = position
     return frame
 
@@ -111,15 +112,3 @@ def frame_at(
 def unmoved(origin: ArrayLike) -> NDArray[np.float64]:
     """The frames, float64 (1, 4, 4), of a map whose one group is at the identity. origin: 3 [m]."""
     return frame_at(origin)[None]
-
-
-def rotation_matrix(x: float, y: float, z: float, w: float) -> NDArray[np.float64]:
-    """Rotation, float64 (3, 3), of a quaternion of any length but zero."""
-    x, y, z, w = np.array([x, y, z, w]) / math.hypot(x, y, z, w)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rosplat_core import depth
-from rosplat_core.view import OVERSCAN, SortView, frame_at, rotation_matrix, unmoved
+from rosplat_core.quaternions import to_matrices
+from rosplat_core.view import OVERSCAN, SortView, frame_at, unmoved
 
 
 def on_axis(depths):
@@ -84,11 +85,11 @@ def footprints(camera, positions, scales, quaternions, opacities):
 
     EWA splatting after Kerbl et al. 2023: the Jacobian at a clamped tangent, 0.3 px² low-pass.
     """
-    to_camera = rotation_matrix(*camera.orientation).T
+    to_camera = to_matrices(camera.orientation).T
     centres, halves, depths = [], [], []
     for p, s, q, opacity in zip(positions, scales, quaternions, opacities, strict=True):
         x, y, z = to_camera @ (p.astype(float) - camera.position)
-        r = to_camera @ rotation_matrix(*q)
+        r = to_camera @ to_matrices(q)
         covariance = r @ np.diag(s.astype(float) ** 2) @ r.T
         if camera.orthographic:
             jacobian = np.array([[camera.fx, 0, 0], [0, camera.fy, 0]])

@@ -3,7 +3,7 @@
 import numpy as np
 
 from rosplat_core import harmonics
-from rosplat_core.view import rotation_matrix
+from rosplat_core.quaternions import to_matrices
 
 
 def test_they_are_orthonormal() -> None:
@@ -34,7 +34,7 @@ def test_turned_coefficients_have_the_colours_of_directions_turned_back() -> Non
     random = np.random.default_rng(0)
     directions = random.normal(size=(50, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    rotation = rotation_matrix(*random.normal(size=4))
+    rotation = to_matrices(random.normal(size=4))
     for degree in range(4):
         sh = random.normal(size=(50, (degree + 1) ** 2, 3)).astype(np.float32)
         turned = harmonics.turned(sh, rotation)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from rosplat_core.posed_camera import CameraError
-from rosplat_core.view import SortView, frame_at, rotation_matrix, unmoved
+from rosplat_core.quaternions import to_matrices
+from rosplat_core.view import SortView, frame_at, unmoved
 
 
 def test_a_point_before_a_turned_camera_lies_on_its_axis(make_camera):
@@ -22,9 +23,9 @@ def test_a_point_before_a_turned_camera_lies_on_its_axis(make_camera):
 
 
 def test_a_quaternion_of_any_length_is_a_rotation():
-    matrix = rotation_matrix(2.0, -3.0, 0.5, 7.0)
+    matrix = to_matrices([2.0, -3.0, 0.5, 7.0])
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-15)
-    np.testing.assert_allclose(matrix, rotation_matrix(0.2, -0.3, 0.05, 0.7), atol=1e-15)
+    np.testing.assert_allclose(matrix, to_matrices([0.2, -0.3, 0.05, 0.7]), atol=1e-15)
 
 
 def test_the_map_origin_is_subtracted_before_float32(make_camera):

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.posed_camera import PosedCamera
-from rosplat_core.view import OVERSCAN, rotation_matrix
+from rosplat_core.quaternions import to_matrices
+from rosplat_core.view import OVERSCAN
 from rosplat_tools.streaming.slot_allocator import slots_for
 
 Array = NDArray[np.float64]
@@ -73,7 +74,7 @@ def in_sight(chunks: Levels, view: PosedCamera) -> NDArray[np.bool_]:
     ends = np.stack([chunks.low, chunks.high])
     which = np.indices((2, 2, 2)).reshape(3, 8)
     corners = np.stack([ends[which[axis], :, axis] for axis in range(3)], axis=2)  # (8, n, 3)
-    x, y, z = np.moveaxis((corners - view.position) @ rotation_matrix(*view.orientation), 2, 0)
+    x, y, z = np.moveaxis((corners - view.position) @ to_matrices(view.orientation), 2, 0)
     depth = np.ones_like(z) if view.orthographic else z
     seen: NDArray[np.bool_] = (z > view.near_clip).any(axis=0) & (z < view.far_clip).any(axis=0)
     for along, focal, centre, size in (
