@@ -31,7 +31,7 @@ struct Copy {
 
   // All that waits, to where `fail` throws.
   void take(const std::function<void(std::uint32_t)>& fail = [](std::uint32_t) {}) {
-    while (taker.take([&](const EditQueue::Waiting& arrival) {
+    while (taker.applyNext([&](const EditQueue::Waiting& arrival) {
       const std::uint32_t slot = arrival.edit->runs.front().first;
       fail(slot);
       slots.push_back(slot);
@@ -83,7 +83,7 @@ TEST(Arrivals, APartThatFailsComesBeforeTheRest) {
   std::vector<std::pair<SlotRuns, bool>> taken;  // and whether that is the last
   bool fails = false;
   const auto take = [&] {
-    return copy.taker.take(
+    return copy.taker.applyNext(
         [&](const EditQueue::Waiting& arrival) {
           if (fails) throw std::bad_alloc();
           EXPECT_EQ(arrival.edit->clear, taken.empty());

@@ -209,7 +209,7 @@ TEST(EditQueue, PartsAddUpToTheirEdit) {
     std::size_t parts = 0;
     const auto take = [&] {
       const std::size_t most = std::uniform_int_distribution<std::size_t>(1, 5000)(random);
-      const EditQueue::Waiting taken = queue.take(most).front();
+      const EditQueue::Waiting taken = queue.pop(most).front();
       EXPECT_LE(uploadBytes(*taken.edit), std::max<std::size_t>(most, 4 * 40));
       EXPECT_TRUE(taken.state.pulled || !taken.more);
       drawn.apply(*taken.edit);

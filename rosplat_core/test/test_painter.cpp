@@ -66,7 +66,7 @@ struct Studio {
   std::shared_ptr<Arrivals> arrivals = std::make_shared<Arrivals>();
   Arrivals::Taker taker = arrivals->makeTaker();
   PaintedMapPtr copy = std::make_shared<PaintedMap>(
-      [taker = taker](const Arrivals::Apply& apply) { return taker.take(apply); });
+      [taker = taker](const Arrivals::Apply& apply) { return taker.applyNext(apply); });
   Painter painter;
 };
 

@@ -69,7 +69,7 @@ def test_what_a_part_of_a_picture_shows_is_not_left_out() -> None:
     splats, crop = generate(3000, seed=3), (920, 520, 1000, 560)
     pose = look_at((2.0, 1.0, 0.7), (0.0, 0.0, 0.5))
     camera = Camera(0, 1920, 1080, 300.0, 300.0, 960.0, 540.0, pose)
-    some = truths.seen(splats, camera, crop)
+    some = truths.in_view(splats, camera, crop)
     assert len(some) < len(splats)
     np.testing.assert_array_equal(
         truths.exact(splats[some], camera, crop), truths.exact(splats, camera, crop)

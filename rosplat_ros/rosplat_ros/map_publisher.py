@@ -301,7 +301,7 @@ class MapPublisher:
             return
         if (count := bounded.published()) < len(bounded):
             self._told_budget = now
-            self._wire.tell(
+            self._wire.inform(
                 f"{count:,} of {len(bounded):,} splats are published: the last views have "
                 f"{bounded.psnr():.1f} dB of the whole map's"
             )
@@ -441,7 +441,7 @@ class _Wire:
         """Whether the topic has other publishers."""
         return bool(self._node.count_publishers(self._topic) > 1)
 
-    def tell(self, text: str) -> None:
+    def inform(self, text: str) -> None:
         self._node.get_logger().info(f"{self._topic}: {text}")
 
     def warn(self, text: str) -> None:

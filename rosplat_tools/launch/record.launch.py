@@ -45,13 +45,13 @@ def _recorder(context: LaunchContext) -> list[ExecuteProcess | RegisterEventHand
         request = ["ros2", "service", "call", f"{topic}/repeat", "rosplat_msgs/srv/RepeatMap"]
         repeats: list[ExecuteProcess] = []  # once
 
-        def hear(event: ProcessIO) -> list[ExecuteProcess]:
+        def on_output(event: ProcessIO) -> list[ExecuteProcess]:
             if repeats or f"Subscribed to topic '{topic}'" not in event.text.decode():
                 return []
             repeats.append(_command(request))
             return repeats
 
-        told = OnProcessIO(target_action=recorder, on_stdout=hear, on_stderr=hear)
+        told = OnProcessIO(target_action=recorder, on_stdout=on_output, on_stderr=on_output)
         actions.insert(0, RegisterEventHandler(told))
     return actions
 

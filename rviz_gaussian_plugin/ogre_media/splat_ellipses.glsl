@@ -32,4 +32,4 @@ const uint kPartSize = PART_BYTES / (16u * kEllipseWords);
 
 Ellipse ellipse(uint i) { IN_ITS_PART(READ) }
 
-void keep(uint i, PackedEllipse e) { IN_ITS_PART(WRITE) }
+void storeEllipse(uint i, PackedEllipse e) { IN_ITS_PART(WRITE) }

@@ -31,7 +31,7 @@ float pixelAlpha(uint k, vec2 pixel) {
   return alphaAt(places[k].w, exp2(-square));
 }
 
-void take(uint k, uint index) {
+void collect(uint k, uint index) {
   Ellipse e = ellipse(index);
   indices[k] = index;
   places[k] = vec4(e.centre, windowDepth(e.depth), peakOf(e));
@@ -60,7 +60,7 @@ void main() {
     if (lane == 0u) searching = 0u;
     barrier();
     if (transmittance > most) atomicAdd(searching, 1u);
-    if (first + lane < list.end) take(lane, listed[first + lane]);
+    if (first + lane < list.end) collect(lane, listed[first + lane]);
     barrier();
     if (searching == 0u) break;
     uint count = min(kBatch, list.end - first);

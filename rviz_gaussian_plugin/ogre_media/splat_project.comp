@@ -270,7 +270,7 @@ uint projected(Page page, uint slot, uint number) {
 #endif
   Ellipse e = project(page, slot, mean, p);
   if (e.opacity == 0.0) return kNone;
-  keep(number, packEllipse(e));
+  storeEllipse(number, packEllipse(e));
 #ifdef DEPTHS
   planes[number] = plane;
 #endif

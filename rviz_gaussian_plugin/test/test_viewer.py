@@ -648,7 +648,7 @@ def test_no_message_ends_it(error: Exception) -> None:
         _map=SimpleNamespace(topic="gaussians", pull_again=lambda: lost.append(error)),
         _instance="me",
     )
-    viewer._take = lambda *of: Viewer._take(viewer, *of)
+    viewer._apply = lambda *of: Viewer._apply(viewer, *of)
     Viewer._on_batch(viewer, GaussianArray(), Arrival.HEARD)
     for encoding in (SplatOrder.SLOTS, SplatOrder.SHARED):
         assert not Viewer._on_order(viewer, SplatOrder(view_id="me/view", encoding=encoding))

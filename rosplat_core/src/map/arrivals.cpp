@@ -32,7 +32,7 @@ void Arrivals::clear() {
   error_ = nullptr;
 }
 
-bool Arrivals::take(std::uint64_t taker, const Apply& apply, const UploadBudget& budget) {
+bool Arrivals::applyNext(std::uint64_t taker, const Apply& apply, const UploadBudget& budget) {
   if (going_over_) return false;
   const std::lock_guard taking(taking_);
   if (taker != taker_) return false;
@@ -49,7 +49,7 @@ bool Arrivals::take(std::uint64_t taker, const Apply& apply, const UploadBudget&
       if (error_ && Clock::now() < retry_) return false;
       const std::size_t bytes = uploadBytes(*waiting_.front().edit);
       if (budget.used > 0 && budget.used + std::min(bytes, budget.all) > budget.all) return false;
-      oldest = waiting_.take(budget.all);
+      oldest = waiting_.pop(budget.all);
     }
     apply(oldest.front());
     taken_ += uploadBytes(*oldest.front().edit);

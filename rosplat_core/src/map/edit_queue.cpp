@@ -100,7 +100,7 @@ EditQueue::Node EditQueue::popNode() noexcept {
   return oldest;
 }
 
-EditQueue::Node EditQueue::take(std::size_t most_bytes) {
+EditQueue::Node EditQueue::pop(std::size_t most_bytes) {
   Waiting& oldest = waiting_.front();
   const std::size_t bytes = uploadBytes(*oldest.edit), slots = countSlots(oldest.edit->runs);
   if (oldest.taken == 0 && bytes <= most_bytes) return popNode();

@@ -264,7 +264,7 @@ class SlotUse {
   SlotUse(const SlotUse&) = delete;
   SlotUse& operator=(const SlotUse&) = delete;
   ~SlotUse() {
-    if (kept_) return;
+    if (committed_) return;
     std::size_t i = before_.size();
     for (auto run = runs_.rbegin(); run != runs_.rend(); ++run) {
       for (std::uint32_t k = run->second; k > 0; --k) {
@@ -285,7 +285,7 @@ class SlotUse {
     if (before) emptied_.push_back(slot);
     return before;
   }
-  void keep() { kept_ = true; }
+  void commit() { committed_ = true; }
 
  private:
   SlotSet& used_;
@@ -293,7 +293,7 @@ class SlotUse {
   std::vector<bool> before_;
   std::size_t set_ = 0;
   std::vector<std::uint32_t> emptied_;
-  bool kept_ = false;
+  bool committed_ = false;
 };
 
 }  // namespace
@@ -380,7 +380,7 @@ std::shared_ptr<const GaussianEdit> GaussianMap::apply(const GaussianBatch& batc
   });
   if (on_edit) on_edit(edit, next);
 
-  use.keep();
+  use.commit();
   if (edit->clear) used_ = std::move(fresh);
   if (writes(batch)) {
     forEachPart(edit->runs, [&](std::uint32_t slot, std::uint32_t, std::size_t) {

@@ -172,7 +172,7 @@ class GsplatRenderer:
     def set_map(self, splats: Splats) -> None:
         self._origin = splats.origin
         self._model = splats.model
-        self._take(
+        self._upload(
             self._put(splats.positions),
             self._put(np.roll(splats.orientations, 1, axis=1)),  # w first
             self._put(splats.scales),
@@ -205,7 +205,7 @@ class GsplatRenderer:
     def _put(self, values: NDArray[Any]) -> Any:
         return self._torch.from_numpy(np.ascontiguousarray(values, np.float32)).cuda()
 
-    def _take(
+    def _upload(
         self, means: Any, quats: Any, scales: Any, opacities: Any, sh: Any, degree: int
     ) -> None:
         self._splats = (means, quats, scales, opacities, sh)
@@ -232,7 +232,7 @@ class GsplatInferenceRenderer(GsplatRenderer):
         self._scene, self._renderer = GaussianInferenceScene, GaussianInferenceRenderer
         self._tile = tile
 
-    def _take(
+    def _upload(
         self, means: Any, quats: Any, scales: Any, opacities: Any, sh: Any, degree: int
     ) -> None:
         if self._model is not Model.EWA:

@@ -61,7 +61,7 @@ def _draw(name: str, by: Draw, look: Callable[[Splats], Camera]) -> Truth:
     camera = look(splats)
     rows, columns = compared(camera.width, camera.height)
     crop = (columns.start, rows.start, columns.stop, rows.stop)
-    return by(splats[seen(splats, camera, crop)], camera, crop).astype(np.float32)
+    return by(splats[in_view(splats, camera, crop)], camera, crop).astype(np.float32)
 
 
 @lru_cache(maxsize=1)
@@ -88,7 +88,7 @@ def psnr(drawn: NDArray[np.floating], truth: Truth) -> float:
     return metrics.psnr(middle(drawn), np.clip(truth, 0, 1))
 
 
-def seen(splats: Splats, camera: Camera, crop: Crop) -> NDArray[np.uint32]:
+def in_view(splats: Splats, camera: Camera, crop: Crop) -> NDArray[np.uint32]:
     """Rows of the splats that a part of a camera's picture may show, ascending."""
     left, top, right, bottom = crop
     window = replace(

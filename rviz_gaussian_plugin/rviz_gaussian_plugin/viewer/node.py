@@ -150,7 +150,7 @@ class Viewer(Node):
 
     def _on_batch(self, message: GaussianArray, arrival: Arrival) -> None:
         try:
-            self._take(message, arrival)
+            self._apply(message, arrival)
         except MemoryError:
             self._map.pull_again()
             self.get_logger().error(
@@ -162,7 +162,7 @@ class Viewer(Node):
                 throttle_duration_sec=5.0,
             )
 
-    def _take(self, message: GaussianArray, arrival: Arrival) -> None:
+    def _apply(self, message: GaussianArray, arrival: Arrival) -> None:
         report = self.renderer.apply(message, arrival)
         if report["missed"] or report["dropped"]:
             self.get_logger().warning(

@@ -89,7 +89,7 @@ class _Window:
         events = [self._pygame.event.wait(self._pause), *self._pygame.event.get()]
         self._fit()
         for event in events:
-            self._take(event)
+            self._handle(event)
         try:
             self._show(any(event.type != self._pygame.NOEVENT for event in events))
         except (RuntimeError, MemoryError, self._pygame.error) as error:
@@ -110,7 +110,7 @@ class _Window:
             self._orbit = framed(self._viewer, *self._size())
             self._framed_by = True if self._viewer.complete() else None
 
-    def _take(self, event: Any) -> None:
+    def _handle(self, event: Any) -> None:
         pygame = self._pygame
         if event.type == pygame.QUIT or (
             event.type == pygame.KEYDOWN and event.key in (pygame.K_q, pygame.K_ESCAPE)

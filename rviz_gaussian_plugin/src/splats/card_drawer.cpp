@@ -18,7 +18,7 @@ MapState CardDrawer::update(bool all) {
     apply(arrival);
     budget.used += uploadBytes(*arrival.edit);
   };
-  while (taker_.take(upload, budget)) {
+  while (taker_.applyNext(upload, budget)) {
   }
   card_->advanceLevels(renderer_->clock());
   return map_;

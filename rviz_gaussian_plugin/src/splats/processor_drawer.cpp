@@ -13,7 +13,7 @@ ProcessorDrawer::ProcessorDrawer(std::shared_ptr<SoftwareRenderer> renderer,
     : renderer_(std::move(renderer)),
       taker_(taker),
       painted_(std::make_shared<PaintedMap>(
-          [taker](const Arrivals::Apply& apply) { return taker.take(apply); })) {
+          [taker](const Arrivals::Apply& apply) { return taker.applyNext(apply); })) {
   painter().add(painted_);
 }
 

@@ -42,8 +42,8 @@ class Arrivals : public std::enable_shared_from_this<Arrivals> {
    public:
     // Applies the oldest edit, or a part of it as large as the whole budget. Returns false if none
     // waits, it failed, another taker has the right, or it exceeds what is left of the budget.
-    bool take(const Apply& apply, const UploadBudget& budget = {}) const {
-      return from_->take(number_, apply, budget);
+    bool applyNext(const Apply& apply, const UploadBudget& budget = {}) const {
+      return from_->applyNext(number_, apply, budget);
     }
     const Arrivals& from() const { return *from_; }
 
@@ -74,7 +74,7 @@ class Arrivals : public std::enable_shared_from_this<Arrivals> {
  private:
   using Clock = std::chrono::steady_clock;
 
-  bool take(std::uint64_t taker, const Apply& apply, const UploadBudget& budget);
+  bool applyNext(std::uint64_t taker, const Apply& apply, const UploadBudget& budget);
   void returnFreed();
 
   std::mutex taking_;  // held while an edit is applied or the map is handed over

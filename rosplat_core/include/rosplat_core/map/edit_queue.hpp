@@ -40,7 +40,7 @@ class EditQueue {
   Waiting pop();
   // Pops the oldest edit, or the next part of a larger one: parts upload most_bytes at most, but a
   // slot at least. While further parts follow, MapState::pulled is set.
-  Node take(std::size_t most_bytes);
+  Node pop(std::size_t most_bytes);
   // Puts what was taken last back to the front, unless a clear has come since.
   void putBack(Node node) noexcept;
   void clear();

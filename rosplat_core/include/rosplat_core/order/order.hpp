@@ -30,9 +30,9 @@ class OrderPool {
   // Returns an order that answers nothing yet; its slots are those that a former order left.
   std::shared_ptr<Order> make() {
     auto order = std::make_unique<Order>();
-    order->slots = spare_->take();
+    order->slots = spare_->reuse();
     return {order.release(), [spare = spare_](Order* dropped) {
-              spare->keep(std::move(dropped->slots));
+              spare->giveBack(std::move(dropped->slots));
               delete dropped;
             }};
   }

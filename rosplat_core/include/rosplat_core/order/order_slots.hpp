@@ -85,7 +85,7 @@ inline void packSlots(const std::uint32_t* slots, std::size_t count, unsigned bi
 class SpareSlots {
  public:
   // Returns the largest kept memory, with its contents; an empty vector if none is kept.
-  std::vector<std::uint32_t> take() {
+  std::vector<std::uint32_t> reuse() {
     const std::lock_guard<std::mutex> lock(mutex_);
     const auto largest = std::max_element(
         kept_.begin(), kept_.end(),
@@ -93,7 +93,7 @@ class SpareSlots {
     return std::exchange(*largest, {});
   }
   // Drops memory of which the order used less than an eighth, lest that of a former map stays.
-  void keep(std::vector<std::uint32_t>&& slots) noexcept {
+  void giveBack(std::vector<std::uint32_t>&& slots) noexcept {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (slots.size() < slots.capacity() / 8) return;
     for (std::vector<std::uint32_t>& kept : kept_) {
