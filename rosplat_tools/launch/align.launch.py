@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from launch import LaunchContext, LaunchDescription
-from launch.actions import OpaqueFunction
-from launch.substitutions import LaunchConfiguration
+from launch import Action, LaunchDescription
 
-from rosplat_ros.program.launching import (
-    SCENE,
-    declared,
-    is_true,
-    program,
-    room_for_maps,
-    scene_publisher,
-)
+from rosplat_ros.program.launching import SCENE, description, is_true, program, scene_publisher
 
 ARGUMENTS = {
     "image": ("image_raw", "Topic of the camera's pictures"),
@@ -27,14 +18,13 @@ ARGUMENTS = {
 
 def generate_launch_description() -> LaunchDescription:
     """What `ros2 launch` reads."""
-    return LaunchDescription([*declared(ARGUMENTS), OpaqueFunction(function=_programs)])
+    return description(ARGUMENTS, _programs)
 
 
-def _programs(context: LaunchContext) -> list[object]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+def _programs(given: dict[str, str]) -> list[Action]:
     align = program(
         "rosplat_tools", "align",
         ("image_raw", given["image"]), ("camera_info", given["camera_info"]),
         rectified=is_true(given, "rectified"), broadcast=given["broadcast"],
     )  # fmt: skip
-    return [*room_for_maps(context), align, *scene_publisher(given)]
+    return [align, *scene_publisher(given)]

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import yaml
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchContext, LaunchDescription
-from launch.actions import ExecuteProcess, OpaqueFunction, RegisterEventHandler
+from launch import LaunchDescription
+from launch.actions import ExecuteProcess, RegisterEventHandler
 from launch.event_handlers import OnProcessIO
 from launch.events.process import ProcessIO
-from launch.substitutions import LaunchConfiguration
 
-from rosplat_ros.program.launching import ENDS_WITH_LAUNCH, declared, is_true, room_for_maps
+from rosplat_ros.program.launching import ENDS_WITH_LAUNCH, description, is_true
 
 ARGUMENTS = {
     "topic": ("/gaussians", "Topic of the map, with its namespace"),
@@ -29,18 +28,17 @@ ARGUMENTS = {
 
 def generate_launch_description() -> LaunchDescription:
     """What `ros2 launch` reads."""
-    return LaunchDescription([*declared(ARGUMENTS), OpaqueFunction(function=_recorder)])
+    return description(ARGUMENTS, _recorder)
 
 
-def _recorder(context: LaunchContext) -> list[ExecuteProcess | RegisterEventHandler]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+def _recorder(given: dict[str, str]) -> list[ExecuteProcess | RegisterEventHandler]:
     topic = "/" + given["topic"].strip("/")  # rosbag2 uses full names
     exclude = "-x" if os.environ.get("ROS_DISTRO") == "humble" else "--exclude-regex"
     command = ["ros2", "bag", "record", "-a", exclude, f"(/gaussians|{topic})/(view|order)$"]
     command += ["--qos-profile-overrides-path", str(_qos(topic))]
     command += ["--output", given["output"]] if given["output"] else []
     recorder = _command(command)
-    actions = [*room_for_maps(context), recorder]
+    actions: list[ExecuteProcess | RegisterEventHandler] = [recorder]
     if is_true(given, "repeat"):
         request = ["ros2", "service", "call", f"{topic}/repeat", "rosplat_msgs/srv/RepeatMap"]
         repeats: list[ExecuteProcess] = []  # once

@@ -3,19 +3,11 @@
 from __future__ import annotations
 
 import yaml
-from launch import LaunchContext, LaunchDescription
-from launch.actions import GroupAction, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
+from launch import LaunchDescription
+from launch.actions import GroupAction
 from launch_ros.actions import PushRosNamespace, SetParameter
 
-from rosplat_ros.program.launching import (
-    declared,
-    is_true,
-    program,
-    publisher,
-    room_for_maps,
-    whole_number,
-)
+from rosplat_ros.program.launching import description, is_true, program, publisher, whole_number
 
 ARGUMENTS = {
     "scenes": (
@@ -32,19 +24,16 @@ ARGUMENTS = {
 
 def generate_launch_description() -> LaunchDescription:
     """What `ros2 launch` reads."""
-    return LaunchDescription([*declared(ARGUMENTS), OpaqueFunction(function=_robots)])
+    return description(ARGUMENTS, _robots)
 
 
-def _robots(context: LaunchContext) -> list[GroupAction]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-
+def _robots(given: dict[str, str]) -> list[GroupAction]:
     def robot(name: str, scene: str) -> GroupAction:
         sorter = [program("rosplat_sorter", "sorter")] if is_true(given, "sorter") else []
         return GroupAction(
             [
                 PushRosNamespace(name),
                 SetParameter("use_sim_time", is_true(given, "use_sim_time")),
-                *room_for_maps(context),
                 publisher(
                     scene,
                     f"{name}/map",

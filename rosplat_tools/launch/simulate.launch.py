@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from launch import LaunchContext, LaunchDescription
-from launch.actions import OpaqueFunction
-from launch.substitutions import LaunchConfiguration
+from launch import Action, LaunchDescription
 
-from rosplat_ros.program.launching import (
-    SCENE,
-    declared,
-    number,
-    program,
-    room_for_maps,
-    scene_publisher,
-)
+from rosplat_ros.program.launching import SCENE, description, number, program, scene_publisher
 
 ARGUMENTS = {
     **SCENE,
@@ -34,11 +25,10 @@ ARGUMENTS = {
 
 def generate_launch_description() -> LaunchDescription:
     """What `ros2 launch` reads."""
-    return LaunchDescription([*declared(ARGUMENTS), OpaqueFunction(function=_programs)])
+    return description(ARGUMENTS, _programs)
 
 
-def _programs(context: LaunchContext) -> list[object]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+def _programs(given: dict[str, str]) -> list[Action]:
     simulate = program(
         "rosplat_tools",
         "simulate",
@@ -48,7 +38,7 @@ def _programs(context: LaunchContext) -> list[object]:
         rate=number(given, "rate"),
         speed=number(given, "speed"),
     )
-    return [*room_for_maps(context), simulate, *scene_publisher(given)]
+    return [simulate, *scene_publisher(given)]
 
 
 def _numbers(given: dict[str, str], name: str) -> list[float]:

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from launch import LaunchContext, LaunchDescription
-from launch.actions import GroupAction, IncludeLaunchDescription, OpaqueFunction
+from launch import Action, LaunchDescription
+from launch.actions import GroupAction, IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node, PushRosNamespace, SetRemap
+from launch_ros.actions import PushRosNamespace, SetRemap
 
-from rosplat_ros.program.launching import (
-    declared,
-    program,
-    publisher,
-    room_for_maps,
-    whole_number,
-)
+from rosplat_ros.program.launching import description, program, publisher, whole_number
 
 FOLDER = Path(__file__).parent
 ARGUMENTS = {
@@ -44,12 +38,10 @@ def generate_launch_description() -> LaunchDescription:
     )
     # Topics in a configuration begin with a slash: remap them to compare's, in its namespace.
     shown = [SetRemap(f"/{topic}", topic) for topic in ("rendered", "difference", "residuals")]
-    programs = OpaqueFunction(function=_programs)
-    return LaunchDescription([*declared(ARGUMENTS), GroupAction([*shown, view]), programs])
+    return description(ARGUMENTS, _programs, GroupAction([*shown, view]))
 
 
-def _programs(context: LaunchContext) -> list[Node | GroupAction]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+def _programs(given: dict[str, str]) -> list[Action]:
     filmed = given["filmed"]
     other = [("gaussians", "filmed/gaussians")] if filmed else []
     camera = program(
@@ -61,6 +53,4 @@ def _programs(context: LaunchContext) -> list[Node | GroupAction]:
     if not filmed:
         return [camera, compare]
     scene = publisher(filmed, "map", whole_number(given, "max_splats"))
-    return [
-        GroupAction([*room_for_maps(context), PushRosNamespace("filmed"), scene]), camera, compare,
-    ]  # fmt: skip
+    return [GroupAction([PushRosNamespace("filmed"), scene]), camera, compare]

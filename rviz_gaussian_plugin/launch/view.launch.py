@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from launch import LaunchContext, LaunchDescription
-from launch.actions import GroupAction, OpaqueFunction, Shutdown
-from launch.substitutions import LaunchConfiguration
+from launch import Action, LaunchDescription
+from launch.actions import Shutdown
 from launch_ros.actions import Node, SetParameter, SetRemap
 
 from rosplat_ros.program.launching import (
     ENDS_WITH_LAUNCH,
     SCENE,
-    declared,
+    description,
     is_true,
     program,
-    room_for_maps,
     scene_publisher,
 )
 
@@ -55,12 +53,10 @@ OBSTACLES = ("occupancy", "voxels", "surface")
 
 def generate_launch_description() -> LaunchDescription:
     """What `ros2 launch` reads."""
-    return LaunchDescription([*declared(ARGUMENTS), OpaqueFunction(function=_programs)])
+    return description(ARGUMENTS, _programs)
 
 
-def _programs(context: LaunchContext) -> list[GroupAction]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-
+def _programs(given: dict[str, str]) -> list[Action]:
     # First: where there is no rviz2, nothing else begins.
     programs = [_rviz(given, is_true(given, "sensors"), is_true(given, "obstacles"))]
     # No publisher without a scene: beside it, displays don't hear a SLAM node's volatile one.
@@ -72,14 +68,9 @@ def _programs(context: LaunchContext) -> list[GroupAction]:
     if is_true(given, "obstacles"):
         programs.append(program("rosplat_tools", "occupancy"))
     return [
-        GroupAction(
-            [
-                *room_for_maps(context),
-                SetParameter("use_sim_time", is_true(given, "use_sim_time")),
-                SetRemap("gaussians", given["topic"]),
-                *programs,
-            ]
-        )
+        SetParameter("use_sim_time", is_true(given, "use_sim_time")),
+        SetRemap("gaussians", given["topic"]),
+        *programs,
     ]
 
 

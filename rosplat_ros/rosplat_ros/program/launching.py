@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 
-from launch import LaunchContext, SomeSubstitutionsType
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch import Action, LaunchContext, LaunchDescription, SomeSubstitutionsType
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    OpaqueFunction,
+    SetEnvironmentVariable,
+)
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -39,18 +44,26 @@ ENDS_WITH_LAUNCH: SomeSubstitutionsType = [
 ]
 
 
-def declared(arguments: Mapping[str, tuple[str, str]]) -> list[DeclareLaunchArgument]:
-    """Arguments by name: the default, and what it means."""
-    return [
+def description(
+    arguments: Mapping[str, tuple[str, str]],
+    actions: Callable[[dict[str, str]], Iterable[Action]],
+    *before: Action,
+) -> LaunchDescription:
+    """What `ros2 launch` reads. arguments: by name the default, and what it means. actions: of the
+    arguments' values; programs among them have room for maps in Fast DDS's shared memory.
+    """
+
+    def begin(context: LaunchContext) -> list[GroupAction]:
+        given = {name: LaunchConfiguration(name).perform(context) for name in arguments}
+        room = fast_dds_profile(context.environment)
+        settings = [SetEnvironmentVariable(*each) for each in room.items()]
+        return [GroupAction([*settings, *actions(given)])]
+
+    declared = [
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in arguments.items()
     ]
-
-
-def room_for_maps(context: LaunchContext) -> list[SetEnvironmentVariable]:
-    """Gives the programs that follow room for maps in Fast DDS's shared memory, if it has any."""
-    profile = fast_dds_profile(context.environment)
-    return [SetEnvironmentVariable(name, value) for name, value in profile.items()]
+    return LaunchDescription([*declared, *before, OpaqueFunction(function=begin)])
 
 
 def is_true(given: Mapping[str, str], name: str) -> bool:
