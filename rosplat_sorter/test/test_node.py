@@ -454,7 +454,10 @@ def test_garbage_does_not_stop_it(sorter, peer, make_batch, make_look, monkeypat
         peer.edit(make_batch(3, **({"revision": revision} | wrong)))
     peer.edit(make_batch(3, revision=8, positions=[nan] * 9, scales=[-inf] * 9, first_slot=3))
     peer.wait(lambda: warnings and warnings[-1][0] == "splats", "no word of splats with NaN")
-    assert [subject for subject, _ in warnings] == ["batch"] * 8 + ["gap", "splats"]
+    subjects = [
+        subject for subject, _ in warnings if subject != "view"
+    ]  # of the view that wakes it
+    assert subjects == ["batch"] * 8 + ["gap", "splats"]
     for wrong, reason in (
         ({"fx": nan}, "fx"),
         ({"width": 0}, "width"),
