@@ -131,6 +131,25 @@ def test_a_row_is_of_the_map_that_has_so_many_splats(garden: Splats) -> None:
     assert row.quality.worst == pytest.approx(new(work.splats).worst, abs=0.01)
 
 
+def test_searches_judge_by_views_that_nothing_was_learnt_from(
+    garden: Splats, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Learnt from, the views that missed a bound would no longer tell of others."""
+    learnt: list[Camera] = []
+    add = Learnt.add_again
+
+    def add_again(self: Learnt, trial: Trial, cameras: list[Camera], *rest: Any) -> None:
+        learnt.extend(cameras)
+        add(self, trial, cameras, *rest)
+
+    monkeypatch.setattr(Learnt, "add_again", add_again)
+    work = Simplification(garden)
+    work.shrink(45)
+    judged = {camera.world_to_camera.tobytes() for camera in work.judge.cameras}
+    assert len(judged) == 40 and learnt
+    assert not judged & {camera.world_to_camera.tobytes() for camera in learnt}
+
+
 def test_the_bound_is_that_of_the_file(garden: Splats, tmp_path: Path) -> None:
     """SPZ rounds; less may then be merged, or nothing."""
     out = tmp_path / "out.spz"

@@ -19,7 +19,6 @@ from rosplat_core.maps import DELETE, UPSERT
 from rosplat_core.rendering import Contributions as Sums
 from rosplat_core.rendering import CpuRenderer, SplatCamera, edit, insert_all, posed, psnr_of
 from rosplat_core.simplification.merging import Contributions, Indices, Pairs
-from rosplat_core.simplification.refitting import picture
 from rosplat_core.splats import Splats
 
 SHARE = 0.95  # of the views, that reach a bound
@@ -151,15 +150,6 @@ class Trial:
         self.renderer.contribute(posed(camera), self._sums)
         seen, weight, energy, error = self._sums.take_seen()
         return seen, Contributions(weight, energy, error)
-
-    def lacking(
-        self, camera: Camera, wanted: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(n,) sums of what a view's pixels lack of a picture, and of the pixels, by weight."""
-        lacks = (wanted - picture(self.renderer, posed(camera))).mean(axis=2)
-        sums = Sums()
-        self.renderer.contribute(posed(camera), sums, lacks)
-        return sums.residual, sums.weight
 
     def apply(self, pairs: Pairs, count: int) -> None:
         """Merges the first count of the map's pairs, and no other."""

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from rosplat_core.cameras import Camera, resized
 from rosplat_core.harmonics import C0
 from rosplat_core.rendering import MOST_PSNR, posed, psnr_of
+from rosplat_core.rendering import Contributions as Sums
 from rosplat_core.simplification.judging import (
     LEAST_SHOWN,
     Judge,
@@ -148,13 +149,8 @@ def _look(trial: Trial, camera: Camera) -> tuple[NDArray[np.uint32], Contributio
     """The splats (m,) that a view sees, and what they contribute, as if the map filled it."""
     camera = resized(camera, PIXELS)
     seen, found = trial.contributions(camera)
-    return seen, found.times(_times(found.weight, camera))
-
-
-def _times(weight: NDArray[np.float32], camera: Camera) -> float:
-    """How often a view counts whose splats have these weights: as if the map filled it."""
-    least = LEAST_SHOWN * camera.width * camera.height
-    return PIXELS / max(float(weight.sum(dtype=np.float64)), least)
+    shown = max(found.weight.sum(dtype=np.float64), LEAST_SHOWN * camera.width * camera.height)
+    return seen, found.times(PIXELS / shown)
 
 
 class Simplification:
@@ -207,17 +203,15 @@ class Simplification:
         A step of SIRT (Gilbert 1972) towards the least squares of all colours. One for red, green
         and blue each would gain 0.1 dB more.
         """
-        whole, trial = Trial(self._whole), Trial(self.splats)
-        lacks, weight = np.zeros((2, len(self.splats)), np.float32)
+        whole, left = Trial(self._whole).renderer, Trial(self.splats).renderer
         cameras = self.views.to_learn(LEARNT, LEARNT_SEED)[::BRIGHTENING]
+        sums = Sums()
         for number, camera in enumerate(cameras):
             self._progress("making up for what left", number / len(cameras))
-            camera = resized(camera, PIXELS)
-            of_view, found = trial.lacking(camera, picture(whole.renderer, posed(camera)))
-            times = _times(found, camera)
-            lacks += times * of_view
-            weight += times * found
-        self.splats.sh[:, 0] += (lacks / np.maximum(weight, 1e-6) / C0)[:, None]
+            view = posed(resized(camera, PIXELS))
+            lacks = picture(whole, view) - picture(left, view)
+            left.contribute(view, sums, lacks.mean(axis=2))
+        self.splats.sh[:, 0] += (sums.residual / np.maximum(sums.weight, 1e-6) / C0)[:, None]
 
     def shrink(self, bound: float) -> None:
         """Reduces the map to about the fewest splats of which SHARE of the views reach bound [dB].
