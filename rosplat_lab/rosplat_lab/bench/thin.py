@@ -65,7 +65,7 @@ def _scene(*parts: tuple[list[ArrayLike], ArrayLike, ArrayLike]) -> Splats:
     values = [
         np.broadcast_to(part[2], len(place)) for part, place in zip(parts, places, strict=True)
     ]
-    sh = np.repeat((np.concatenate(values) - 0.5) / C0, 3).reshape(count, 1, 3)
+    sh = np.repeat((np.concatenate(values) - 0.5) / C0, 3).reshape(count, 1, 3).astype(np.float32)
     turns, opacities = np.tile([0, 0, 0, 1.0], (count, 1)), np.full(count, 0.9)
     return Splats(
         np.concatenate(places), turns, np.concatenate(scales), opacities, sh, up=(0, 0, 1)
