@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core.cameras import Camera
 from rosplat_core.quaternions import to_matrices
-from rosplat_core.splats import Splats
+from rosplat_core.splats import Splats, check_splats
 
 DRAWN = 8000  # splats that vote
 TRIED = 300  # directions of flat splats, and as many of planes
@@ -59,6 +59,7 @@ def find_up(splats: Splats, cameras: Sequence[Camera] = ()) -> NDArray[np.float6
 
     -y where there is nothing to tell by.
     """
+    check_splats(splats)
     customs = np.array(CUSTOMS, np.float64)
     if cameras := cameras or photographed(splats):
         mean = np.mean([-camera.world_to_camera[1, :3] for camera in cameras], axis=0)

@@ -331,7 +331,7 @@ def test_one_large_number_everywhere(
 
 
 def test_no_scene_at_all(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("not a scene")
+    (tmp_path / "notes.txt").write_bytes(b"\0no scene")
     os.mkfifo(tmp_path / "pipe.ply")
     for path, reason in [
         (

@@ -81,7 +81,7 @@ def stranger(path: Path, head: bytes) -> str:
     if text := _text(head):
         if text.startswith("ply"):
             return "a PLY in another text than ASCII: save it as that, without a byte order mark"
-        return f"text, which begins '{text}'"
+        return f"not a scene, but text that begins '{text}'"
     return ""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from numbers import Integral
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,10 @@ def generate_into(
     into: Into[Made], count: int, seed: int, sh_degree: int, progress: Progress, scene: str
 ) -> Made:
     """As generate, with splats of the kind that `into` makes."""
+    if scene not in SCENES:
+        raise InputError(f"scene is {scene!r}, expected {' or '.join(SCENES)}")
+    if not isinstance(count, Integral):
+        raise InputError(f"count is {count!r}, expected a whole number")
     if not 1 <= count <= MAX_SLOTS:
         raise InputError(f"count is {count:,}, expected 1 to {MAX_SLOTS:,}, as many as a map holds")
     if seed < 0:
