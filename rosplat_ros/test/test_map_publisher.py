@@ -909,7 +909,7 @@ def test_receivers_of_any_time_hold_the_budget_and_no_more(
     monkeypatch.setattr(bounded_map, "REST", 0)
     said: list[str] = []
     with MapPublisher(node, budget=1500) as publisher:
-        monkeypatch.setattr(publisher._wire, "tell", said.append)
+        monkeypatch.setattr(publisher._wire, "inform", said.append)
         for group in range(3):
             slots = publisher.append(random_splats(1000, 2, seed=group), group=group)
             publisher.look_from(SEEN)
