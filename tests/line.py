@@ -11,7 +11,6 @@ import subprocess
 import uuid
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 
 ENDS = ("here", "there")
 TOOLS = ("ip", "tc")
@@ -64,12 +63,7 @@ class Line:
             _run("tc", "-netns", name, "qdisc", "add", "dev", name, "root", "tbf",
                  "rate", self._rate, "burst", BURST, "latency", LATENCY)  # fmt: skip
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._remove()
 
     def _remove(self) -> None:

@@ -45,32 +45,18 @@ class Renderer(Protocol):
         none. [bytes]"""
 
 
-class Ours(Renderer, Protocol):
-    """A renderer of this project, with RenderSettings and levels of detail."""
+class CpuRenderer:
+    """The plugin's rasteriser on the processor. Its times include the copy into NumPy's arrays."""
 
     report: dict[str, Any]
     """Of the last picture: `splats` drawn, the `error` of their levels [px], and more."""
-
-    @property
-    def renderer(self) -> Any:
-        """The object that takes batches."""
-
-    def use(self, values: dict[str, Any]) -> None:
-        """Sets these settings, enumerations by name, and all others to their defaults."""
-
-    def merge(self) -> dict[str, float]:
-        """Brings the levels up to date with the map. Returns the `memory` that they take [bytes],
-        and their number of `nodes` where it is known."""
-
-
-class CpuRenderer:
-    """The plugin's rasteriser on the processor. Its times include the copy into NumPy's arrays."""
 
     def __init__(self) -> None:
         self.renderer = rendering.CpuRenderer()
         self.device = f"CPU, {self.renderer.instructions}"
 
     def use(self, values: dict[str, Any]) -> None:
+        """Sets these settings, enumerations by name, and all others to their defaults."""
         self.renderer.settings = embedded.changed(values)
 
     def set_map(self, splats: Splats) -> None:
@@ -87,6 +73,8 @@ class CpuRenderer:
         return colour[..., :3]
 
     def merge(self) -> dict[str, float]:
+        """Brings the levels up to date with the map. Returns the `memory` that they take [bytes],
+        and their number of `nodes` where it is known."""
         nodes = self.renderer.merge()
         return {"nodes": nodes, "memory": self.renderer.levels_bytes}
 
@@ -133,8 +121,8 @@ class DisplayRenderer:
         return colour[..., :3]
 
     def merge(self) -> dict[str, float]:
-        """Includes the upload of the nodes to a card. The small view keeps the levels, which go
-        when no view wants them."""
+        """As of CpuRenderer, with the upload of the nodes to a card. The small view keeps the
+        levels, which go when no view wants them."""
         self.renderer.settings.detail = "1px"
         return {"memory": self._draw_small()["levels_bytes"]}
 
@@ -147,6 +135,9 @@ class DisplayRenderer:
     def graphics_memory(self) -> tuple[int, int]:
         return self.report["map_bytes"], self.report["gpu_bytes"]
 
+
+Ours = CpuRenderer | DisplayRenderer
+"""A renderer of this project, with RenderSettings and levels of detail."""
 
 GSPLAT: dict[Model, tuple[str, dict[str, Any]]] = {
     Model.EWA: ("rasterization", {}),

@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 
 from rosplat_core.program.output import finish
 from rosplat_ros.program.loading import exit_by_signals
@@ -158,12 +158,7 @@ class Processes:
             raise ProcessError(f"{self.folder}: no folder for logs: {error.strerror}") from error
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.end()
 
     def start(
