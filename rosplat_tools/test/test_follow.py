@@ -113,8 +113,11 @@ def test_a_known_type_is_heard_on_any_topic(
         monkeypatch.setattr(module, "FIELDS", ())
         monkeypatch.setattr(module, "Reader", Word)
     rclpy.init(args=["--ros-args", "-r", f"__ns:={node.get_namespace()}"])
-    with spinning(Follow()):
-        publisher = node.create_publisher(String, "gaussian_splats", 1)
-        listener.wait(publisher.get_subscription_count)
-        publisher.publish(String(data="heard"))
-        listener.wait_for(5)
+    try:
+        with spinning(Follow()):
+            publisher = node.create_publisher(String, "gaussian_splats", 1)
+            listener.wait(publisher.get_subscription_count)
+            publisher.publish(String(data="heard"))
+            listener.wait_for(5)
+    finally:
+        rclpy.try_shutdown()
