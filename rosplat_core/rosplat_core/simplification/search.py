@@ -5,7 +5,8 @@
    the two makes the smaller error with as many, as pictures tell. It checks maps from views that
    nothing was learnt from: so many reach the bound that SHARE of all surely do.
 3. The map that it finds is checked from new views. If too many miss the bound, these are learnt
-   from, count more than others, and are among those that the next search checks maps from.
+   from, and count more than others. The next search checks maps from more views, none of these.
+4. Where a number of splats is the bound, what is left is made as bright as what left.
 """
 
 from __future__ import annotations
