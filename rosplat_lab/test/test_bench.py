@@ -195,7 +195,7 @@ def test_a_scene_that_is_none_is_named(tmp_path: Path, capsys: pytest.CaptureFix
     command = ["sort", "--sizes", "500", "--scenes", str(scene), "--out", str(tmp_path)]
     scene.write_text("?")
     assert main(command) == 1
-    assert "none.ply: text, which begins '?'" in capsys.readouterr().err
+    assert "none.ply: not a scene, but text that begins '?'" in capsys.readouterr().err
     assert not (tmp_path / "sort.json").exists()
     scene.write_text("ply\n")
     assert main(command) == 1
