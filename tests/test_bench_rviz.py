@@ -45,7 +45,6 @@ def test_displays_are_measured_beside_each_other(
     assert all(record.n >= 3 and record.least > 0 for record in frames.values())
     accuracy = {r.parameters["display"]: r.value for r in records if r.name == "PSNR"}
     assert accuracy.keys() == {"ROSplat", "exact"} and min(accuracy.values()) > 55
-    assert (tmp_path / "rviz-frame.png").stat().st_size > 10_000
 
     # With the mouse, where no graphics card draws.
     if "llvmpipe" not in records[0].gpu or not shutil.which("xdotool"):
