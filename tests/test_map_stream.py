@@ -199,6 +199,7 @@ def assert_same(points: Points, expected: Points) -> None:
 def test_whatever_is_lost_all_end_with_the_map(
     monkeypatch: pytest.MonkeyPatch, losses: float, chunk_bytes: int, seed: int
 ) -> None:
+    monkeypatch.setattr(map_publisher, "Node", Wire)
     monkeypatch.setattr(map_publisher, "PullServer", Wire.serve_pulls)
     monkeypatch.setattr(map_publisher, "ServiceThread", Wire.serve_repeats)
     random = np.random.default_rng(seed)

@@ -34,6 +34,34 @@ def test_an_interrupt_as_callbacks_begin_ends_them() -> None:
     assert run.stdout == "ended False\n"
 
 
+INTERRUPTED_AS_IT_MAKES_AN_EXECUTOR = """
+import os
+import signal
+import rclpy
+from rclpy import executors
+from rosplat_ros.program.running import run, spinning, wait_for_end
+class Interrupting(executors.SignalHandlerGuardCondition):
+    def __init__(self, context):
+        os.kill(os.getpid(), signal.SIGINT)
+        for _ in range(1000):
+            pass
+        super().__init__(context)
+def body():
+    node = rclpy.create_node("test")
+    executors.SignalHandlerGuardCondition = Interrupting
+    with spinning(node):
+        print("begun")
+        wait_for_end(node)
+run("test", body)
+"""
+
+
+def test_an_interrupt_that_comes_as_an_executor_is_made_waits_for_it() -> None:
+    command = [sys.executable, "-c", INTERRUPTED_AS_IT_MAKES_AN_EXECUTOR]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert (run.stdout, run.stderr) == ("", "")
+
+
 LOSES_AN_INTERRUPT = """
 import os
 import signal

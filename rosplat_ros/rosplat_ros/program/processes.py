@@ -11,7 +11,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
@@ -83,8 +84,27 @@ class _Waker:
                 time.sleep(self._PERIOD)
 
 
-def _interrupt(_number: int, _frame: FrameType | None) -> None:
+_postponed: list[int] | None = None  # signals that came within uninterrupted(); None outside it
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Postpones the interrupts of signals until the block has ended."""
+    global _postponed
+    _postponed = came = []
+    try:
+        yield
+    finally:
+        _postponed = None
+    for number in came:
+        _interrupt(number, None)
+
+
+def _interrupt(number: int, _frame: FrameType | None) -> None:
     global _interrupted_at
+    if _postponed is not None:
+        _postponed.append(number)
+        return
     if 0.0 < since_interrupt() < ENDS:
         return
     _interrupted_at = _interrupted_at or time.monotonic()

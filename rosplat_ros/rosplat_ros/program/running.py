@@ -35,7 +35,7 @@ from rosplat_ros.program.memory import give_back_large_blocks
 from rosplat_ros.program.middleware import prepare_fast_dds
 from rosplat_ros.program.mistakes import Mistakes
 from rosplat_ros.program.parameter_help import stop_if_asked
-from rosplat_ros.program.processes import interrupt_by_signals, since_interrupt
+from rosplat_ros.program.processes import interrupt_by_signals, since_interrupt, uninterrupted
 
 GRACE = 0.5  # time that callbacks get to end before ROS ends [s]
 BREATH = 0.0002  # pause in which a thread can begin with a callback [s]
@@ -115,7 +115,11 @@ def _free_frames(error: BaseException | None) -> None:
 def spin(node: Node) -> None:
     """rclpy.spin, which Ctrl-C ends without a traceback."""
     with suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
+        try:
+            rclpy.spin(node)
+        except RuntimeError:  # RCLError, if ROS has ended between two waits
+            if node.context.ok():
+                raise
 
 
 @contextmanager
@@ -127,7 +131,8 @@ def spinning(node: Node, threads: int = 1) -> Iterator[None]:
     """
     stop_if_asked()
     Mistakes(node)
-    executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
+    with uninterrupted():  # Python prints what goes wrong as a half-made executor is destroyed
+        executor = MultiThreadedExecutor(threads) if threads > 1 else SingleThreadedExecutor()
     executor.add_node(node)
     begun, ending, ended = Event(), Event(), Event()
     spun: Future[None] | None = None
