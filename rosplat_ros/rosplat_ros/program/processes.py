@@ -91,7 +91,8 @@ _postponed: list[int] | None = None  # signals that came within uninterrupted();
 def uninterrupted() -> Iterator[None]:
     """Postpones the interrupts of signals until the block has ended."""
     global _postponed
-    _postponed = came = []
+    came: list[int] = []
+    _postponed = came
     try:
         yield
     finally:
