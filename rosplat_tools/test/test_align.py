@@ -71,6 +71,7 @@ class Aligner:
         self.aligned: list[PoseWithCovarianceStamped] = []
         self._images = node.create_publisher(Image, "image_raw", 10)
         self._infos = node.create_publisher(CameraInfo, "camera_info", 10)
+        self.info: CameraInfo | None = None
         self._client = node.create_client(Align, "align/align")
 
     def hear(self) -> None:
@@ -84,9 +85,15 @@ class Aligner:
         return log
 
     def calibrate(self, lens: Lens) -> None:
-        self._infos.publish(of_lens(lens))
+        self.info = of_lens(lens)
+
+    def _send_info(self) -> None:
+        """As drivers do, again and again: align may not hear the first."""
+        if self.info:
+            self._infos.publish(self.info)
 
     def show(self, image: Image, seconds: int) -> None:
+        self._send_info()
         image.header.stamp.sec = seconds
         self._images.publish(image)
 
@@ -105,6 +112,7 @@ class Aligner:
     def request(
         self, world_to_camera: np.ndarray, image: Image | None = None, frame: str = ""
     ) -> Future:
+        self._send_info()
         request = Align.Request(image=image or Image())
         request.start.header.frame_id = frame
         request.start.pose = to_pose(np.linalg.inv(world_to_camera))
@@ -308,7 +316,7 @@ def test_what_cannot_be_aligned_is_said_and_passes(node: Node, aligner: Aligner)
     aligner.until(log, "no CameraInfo has come on camera_info", image, 11)
     aligner.until(log, "after all poses that are known", image, 25)
     zeros = CameraInfo(width=160, height=120, distortion_model="plumb_bob")
-    aligner._infos.publish(zeros)
+    aligner.info = zeros
     aligner.until(log, "camera_info is refused: k: focal lengths are 0.0, 0.0", image, 12)
     aligner.calibrate(Lens.of_view(320, 240, 1.0))
     aligner.until(log, "a picture is 160 x 120, camera_info says 320 x 240", image, 12)
