@@ -192,15 +192,20 @@ class Deaf(MapReceiver):
         self._to_miss = {4, 5}
         super().__init__(*arguments, **named)
 
-    def _hear(self, message: GaussianArray) -> None:
+    def _on_message(self, message: GaussianArray) -> None:
         if message.revision in self._to_miss:
             self._to_miss.remove(message.revision)
         else:
-            super()._hear(message)
+            super()._on_message(message)
 
 
 class DeafInPython(InPython):
     kind = Deaf
+    _receiver: Deaf
+
+    def close(self) -> None:
+        super().close()
+        assert not self._receiver._to_miss
 
 
 CMAKE = """
