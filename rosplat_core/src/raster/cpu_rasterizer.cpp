@@ -161,7 +161,7 @@ void CpuRasterizer::Work::begin(const PictureRequest& request) {
   cancel = request.cancelled;
   profile.clear();
   began = Clock::now();
-  const SplatCamera& camera = request.layers.front().camera;
+  const SplatCamera& camera = request.camera();
   checkSize(camera);
   across = (camera.width + kTile - 1) / kTile;
   down = (camera.height + kTile - 1) / kTile;
@@ -191,7 +191,7 @@ void CpuRasterizer::Work::makeRoom(const PictureRequest& request, const Wanted& 
     return;
   }
   SplatPicture& picture = *wanted.picture;
-  const SplatCamera& camera = request.layers.front().camera;
+  const SplatCamera& camera = request.camera();
   const bool kept = picture.width == camera.width && picture.height == camera.height;
   picture.width = picture.height = 0;  // in case there is no memory for all of the picture
   picture.colour.resize(4 * pixels);
@@ -270,13 +270,13 @@ CpuRasterizer::CpuRasterizer(std::shared_ptr<ThreadTeam> team, Instructions inst
 CpuRasterizer::~CpuRasterizer() = default;
 
 bool CpuRasterizer::draw(const PictureRequest& request, SplatPicture& picture) {
-  return orSay(request.layers.front().camera, [&] { return work_->run(request, {&picture}); });
+  return orSay(request.camera(), [&] { return work_->run(request, {&picture}); });
 }
 
 std::vector<PickedSplat> CpuRasterizer::pick(const PictureRequest& request) {
   std::vector<std::uint32_t> indices;
-  const bool whole = orSay(request.layers.front().camera,
-                           [&] { return work_->run(request, {nullptr, &indices}); });
+  const bool whole =
+      orSay(request.camera(), [&] { return work_->run(request, {nullptr, &indices}); });
   if (!whole) return {};
   std::vector<PickedSplat> picked(indices.size());
   for (std::size_t i = 0; i < indices.size(); ++i) {
@@ -289,7 +289,7 @@ bool CpuRasterizer::contribute(const PictureRequest& request, Contributions& con
   PictureRequest in_colour = request;
   in_colour.layers.front().settings.mode = DrawMode::kColor;
   in_colour.translucent_depth = {};
-  return orSay(request.layers.front().camera,
+  return orSay(request.camera(),
                [&] { return work_->run(in_colour, {&work_->seen, nullptr, &contributions}); });
 }
 

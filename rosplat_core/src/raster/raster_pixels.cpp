@@ -158,7 +158,7 @@ void CpuRasterizer::Work::blendSamples(const PictureRequest& request, SplatPictu
 void CpuRasterizer::Work::pick(const PictureRequest& request, std::vector<std::uint32_t>& picked,
                                bool first, std::size_t number, Member& member) {
   if (inTile(number) == 0 && !first) return;
-  const SplatCamera& camera = request.layers.front().camera;
+  const SplatCamera& camera = request.camera();
   const TileRect rect(number, across, camera.width, camera.height);
   const PickTile tile{listedTile(request, rect, number, member), member.pixels.transmittance,
                       member.most, member.indices};
@@ -204,7 +204,7 @@ void CpuRasterizer::Work::contribute(const PictureRequest& request, const SplatP
 }
 
 void CpuRasterizer::Work::findMeanDepths(const PictureRequest& request, SplatPicture& picture) {
-  const bool orthographic = request.layers.front().camera.orthographic;
+  const bool orthographic = request.camera().orthographic;
   inParts(tiles, 64, [&](const StepShare& part, Member&) {
     for (std::size_t number = part.begin; number < part.end; ++number) {
       const TileRect rect(number, across, picture.width, picture.height);

@@ -129,7 +129,7 @@ void CpuRasterizer::Work::openTiles(const PictureRequest& request) {
   pyramid.open = open.data();
   hides = !request.scene_depth.empty();
   if (!hides) return;
-  const SplatCamera& camera = request.layers.front().camera;
+  const SplatCamera& camera = request.camera();
   inParts(tiles, 256, [&](const StepShare& part, Member&) {
     for (std::size_t tile = part.begin; tile < part.end; ++tile) {
       const TileRect rect(tile, across, camera.width, camera.height);

@@ -80,10 +80,7 @@ void SplatSelection::onDeselect(const Picked& picked) {
 
 // To be called right after a pick, while the context that it was drawn in is current.
 void SplatSelection::begin(bool adds) {
-  Waiting& waiting = waiting_.emplace_back(Waiting{{}, adds});
-  for (MapSelection* map : maps_) {
-    for (auto& pick : map->cloud().pick()) waiting.picks.push_back(std::move(pick));
-  }
+  waiting_.push_back({SplatCloud::takePicks(), adds});
   if (applyFound()) drawOutlines();
 }
 

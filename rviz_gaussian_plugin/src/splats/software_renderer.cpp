@@ -68,7 +68,7 @@ const std::string& SoftwareRenderer::join(const PaintedPicture& picture) {
 }
 
 const SoftwareRenderer::ShownView* SoftwareRenderer::viewOf(const PaintedPicture& picture) const {
-  const std::string* const name = names_.of(picture.layers.front().view_id);
+  const std::string* const name = names_.of(picture.viewId());
   const auto view = name ? views_.find(*name) : views_.end();
   return view == views_.end() ? nullptr : &view->second;
 }
@@ -90,7 +90,7 @@ bool SoftwareRenderer::asked(const ShownView& view, const PaintRequest& request)
 bool SoftwareRenderer::ready(const PaintedPicture& picture) const {
   const ShownView* const view = viewOf(picture);
   if (!view) return false;
-  const PaintingPtr newest = painter_.newest(*names_.of(picture.layers.front().view_id));
+  const PaintingPtr newest = painter_.newest(*names_.of(picture.viewId()));
   if (!newest || !(newest->error.empty() || newest->request == view->asked)) return false;
   const PaintRequest request = requestOf(picture);
   return shows(*newest, request) || overtaken(*view, *newest, request);

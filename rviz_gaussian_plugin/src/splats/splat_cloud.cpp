@@ -85,9 +85,11 @@ std::vector<Ogre::RenderablePass> listed(Ogre::RenderQueueGroup& queue, bool tra
 
 // The part of a camera's picture that some objects may cover. All of it if their bounds aren't
 // known, or reach behind the camera.
-PictureRect reachOf(const std::vector<Ogre::RenderablePass>& objects, const Ogre::Camera& camera,
-                    int width, int height) {
+PictureRect reachOf(const std::vector<Ogre::RenderablePass>& objects,
+                    const Ogre::Viewport& viewport) {
   constexpr float kMargin = 2;  // [px]
+  const int width = viewport.getActualWidth(), height = viewport.getActualHeight();
+  const Ogre::Camera& camera = *viewport.getCamera();
   const PictureRect all{0, 0, width, height};
   const Ogre::Matrix4 projection = camera.getProjectionMatrix() * camera.getViewMatrix();
   Ogre::AxisAlignedBox reach;  // x and y in pixels
@@ -155,8 +157,10 @@ Canvas canvasOf(const Ogre::Viewport& viewport) {
   return viewport.getTarget()->requiresTextureFlipping() ? Canvas::kTexture : Canvas::kWindow;
 }
 
-// Converts an Ogre camera to the optical convention.
-SplatCamera cameraOf(const Ogre::Camera& ogre, int width, int height) {
+// Converts a viewport's camera to the optical convention.
+SplatCamera cameraOf(const Ogre::Viewport& viewport) {
+  const Ogre::Camera& ogre = *viewport.getCamera();
+  const int width = viewport.getActualWidth(), height = viewport.getActualHeight();
   SplatCamera camera;
   const Ogre::Matrix4 view = ogre.getViewMatrix();
   const Ogre::Matrix4 projection = ogre.getProjectionMatrix();
@@ -208,20 +212,58 @@ SplatCloud::SplatCloud(const std::string& name, const std::string& resource_grou
   callUndertaker();
 }
 
-struct SplatCloud::Starter : Ogre::SceneManager::Listener {
+// The clouds of the view that Ogre is drawing, of which there is one at a time. Their pictures
+// begin before Ogre draws anything. The first entry of a turn that Ogre comes to draws for all
+// clouds.
+class SplatCloud::View : public Ogre::SceneManager::Listener {
+ public:
   void postFindVisibleObjects(Ogre::SceneManager* manager,
                               Ogre::SceneManager::IlluminationRenderStage,
-                              Ogre::Viewport*) override {
-    SplatCloud::begin(*manager);
-  }
+                              Ogre::Viewport* viewport) override;
+  void draw(Turn turn, Ogre::SceneManager& manager);
+  std::vector<std::pair<SplatCloud*, Pick>> takePicks();
+  void forget(const SplatCloud* cloud);
+
+ private:
+  // Clouds that are drawn together.
+  struct Group {
+    std::vector<SplatCloud*> clouds;
+    SplatScene::Picture picture;
+  };
+
+  static std::vector<SplatCloud*> cloudsIn(Ogre::SceneManager& manager);  // oldest first
+  static std::vector<Ogre::RenderablePass> translucentIn(Ogre::SceneManager& manager);
+  static bool anyOpaque(Ogre::SceneManager& manager);  // drawn before the splats
+
+  // Prepares the clouds for a viewport by `enter`, and groups those that it shows.
+  using Enter = std::optional<Layer<Drawer*>> (SplatCloud::*)(Ogre::Viewport*);
+  void group(Enter enter, Ogre::Viewport* viewport);
+  // Does something for each group. What it throws becomes the error of its clouds, and ends the
+  // group.
+  void forEach(const std::function<void(Group&)>& act);
+  void drawAll(Turn turn, Ogre::SceneManager& manager);
+  // For rviz's mouse tools.
+  void drawTouched(Ogre::Viewport& viewport);
+
+  std::vector<SplatCloud*> clouds_;  // oldest first
+  std::vector<Group> groups_;
+  std::optional<Turn> done_;  // the last turn that was drawn
+  bool divided_ = false;      // at translucent objects: kHide and kBefore follow
+  std::vector<std::vector<SplatCloud*>> picked_;  // the groups of the last pick
 };
 
+SplatCloud::View& SplatCloud::view() {
+  static auto* const view = new View;  // scene managers may end after all statics
+  return *view;
+}
+
+SplatCloud::~SplatCloud() { view().forget(this); }
+
 void SplatCloud::_notifyAttached(Ogre::Node* parent, bool is_tag_point) {
-  static auto* const starter = new Starter;  // scene managers may end after all statics
   MovableObject::_notifyAttached(parent, is_tag_point);
   if (const auto* node = dynamic_cast<Ogre::SceneNode*>(parent)) {
-    node->getCreator()->removeListener(starter);  // not twice
-    node->getCreator()->addListener(starter);
+    node->getCreator()->removeListener(&view());  // not twice
+    node->getCreator()->addListener(&view());
   }
 }
 
@@ -234,15 +276,7 @@ const Ogre::AxisAlignedBox& SplatCloud::getBoundingBox() const { return box_; }
 
 Ogre::Real SplatCloud::getBoundingRadius() const { return 0; }
 
-void SplatCloud::_notifyCurrentCamera(Ogre::Camera* camera) {
-  MovableObject::_notifyCurrentCamera(camera);
-  camera_ = camera;
-}
-
 void SplatCloud::_updateRenderQueue(Ogre::RenderQueue* queue) {
-  drawn_ = false;
-  begun_.clear();
-  divided_.clear();
   auto& [behind, hide, before] = entries_;
   queue->addRenderable(&behind, Ogre::RENDER_QUEUE_MAIN, mRenderQueuePriority);
   queue->addRenderable(&hide, Ogre::RENDER_QUEUE_MAIN, mRenderQueuePriority);
@@ -268,40 +302,8 @@ Ogre::Real SplatCloud::QueueEntry::getSquaredViewDepth(const Ogre::Camera*) cons
 }
 
 bool SplatCloud::QueueEntry::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
-  cloud_.draw(turn_, *manager);
+  view().draw(turn_, *manager);
   return false;
-}
-
-std::vector<Ogre::RenderablePass> SplatCloud::translucent(Ogre::SceneManager& manager) const {
-  auto found =
-      listed(*manager.getRenderQueue()->getQueueGroup(Ogre::RENDER_QUEUE_MAIN), true, false);
-  found.erase(std::remove_if(found.begin(), found.end(),
-                             [this](const Ogre::RenderablePass& object) {
-                               return object.renderable->getMaterial() == material_;
-                             }),
-              found.end());
-  return found;
-}
-
-bool SplatCloud::anyOpaque(Ogre::SceneManager& manager) {
-  const auto& queues = manager.getRenderQueue()->_getQueueGroups();
-  return std::any_of(&queues[0], &queues[kRenderQueue], [](const auto& queue) {
-    return queue && !listed(*queue, false, true).empty();
-  });
-}
-
-std::vector<SplatCloud*> SplatCloud::cloudsIn(Ogre::SceneManager& manager) {
-  std::vector<SplatCloud*> clouds;
-  // In the schemes of rviz's mouse tools the entries are solids.
-  for (const Ogre::RenderablePass& object :
-       listed(*manager.getRenderQueue()->getQueueGroup(kRenderQueue), true, true)) {
-    if (const auto* entry = dynamic_cast<QueueEntry*>(object.renderable)) {
-      clouds.push_back(&entry->cloud());
-    }
-  }
-  std::sort(clouds.begin(), clouds.end(),
-            [](const SplatCloud* a, const SplatCloud* b) { return a->number_ < b->number_; });
-  return clouds;
 }
 
 bool SplatCloud::pauses() const {
@@ -314,29 +316,9 @@ void SplatCloud::fail(const std::exception& error) {
 }
 
 SplatCamera SplatCloud::cameraIn(const Ogre::Viewport& viewport) const {
-  SplatCamera camera =
-      inFrameOf(place_, cameraOf(*camera_, viewport.getActualWidth(), viewport.getActualHeight()));
+  SplatCamera camera = inFrameOf(place_, cameraOf(viewport));
   camera.extent_scale = extentScale(settings_);
   return camera;
-}
-
-void SplatCloud::begin(Ogre::SceneManager& manager) {
-  Ogre::Viewport* viewport = manager.getCurrentViewport();
-  const std::vector<SplatCloud*> clouds = cloudsIn(manager);
-  if (clouds.empty() || !showsScene(*viewport)) return;
-  clearStencilToo(*viewport);
-  std::vector<Group> groups = group(clouds, &SplatCloud::enterView, viewport);
-  forEach(groups, [&](Group& group) { group.picture.begin(canvasOf(*viewport)); });
-  clouds.front()->begun_ = std::move(groups);
-}
-
-void SplatCloud::draw(Turn turn, Ogre::SceneManager& manager) {
-  const Ogre::Viewport& viewport = *manager.getCurrentViewport();
-  if (showsScene(viewport)) return drawSeen(turn, manager);
-  if (turn != Turn::kBefore || drawn_ || !hasPixels(viewport)) return;
-  const std::string& scheme = viewport.getMaterialScheme();
-  const bool picked = pick_handle_ && (scheme == "Pick" || scheme == "Pick1");
-  if (scheme == "Depth" || picked) drawTouched(manager, canvasOf(viewport));
 }
 
 std::optional<Layer<Drawer*>> SplatCloud::enterView(Ogre::Viewport* viewport) {
@@ -368,28 +350,87 @@ std::optional<Layer<Drawer*>> SplatCloud::enterMouseTool(Ogre::Viewport* viewpor
   return scene_->layerUnderMouse(view->first, settings_, camera);
 }
 
-std::vector<SplatCloud::Group> SplatCloud::group(const std::vector<SplatCloud*>& clouds,
-                                                 Enter enter, Ogre::Viewport* viewport) {
-  std::vector<Group> groups;
-  for (SplatCloud* cloud : clouds) {
+// --- A view --------------------------------------------------------------------------------------
+
+std::vector<SplatCloud*> SplatCloud::View::cloudsIn(Ogre::SceneManager& manager) {
+  std::vector<SplatCloud*> clouds;
+  // In the schemes of rviz's mouse tools the entries are solids.
+  for (const Ogre::RenderablePass& object :
+       listed(*manager.getRenderQueue()->getQueueGroup(kRenderQueue), true, true)) {
+    if (const auto* entry = dynamic_cast<QueueEntry*>(object.renderable)) {
+      clouds.push_back(&entry->cloud());
+    }
+  }
+  std::sort(clouds.begin(), clouds.end(),
+            [](const SplatCloud* a, const SplatCloud* b) { return a->number_ < b->number_; });
+  return clouds;
+}
+
+std::vector<Ogre::RenderablePass> SplatCloud::View::translucentIn(Ogre::SceneManager& manager) {
+  auto found =
+      listed(*manager.getRenderQueue()->getQueueGroup(Ogre::RENDER_QUEUE_MAIN), true, false);
+  const auto is_entry = [](const Ogre::RenderablePass& object) {
+    return dynamic_cast<const QueueEntry*>(object.renderable) != nullptr;
+  };
+  found.erase(std::remove_if(found.begin(), found.end(), is_entry), found.end());
+  return found;
+}
+
+bool SplatCloud::View::anyOpaque(Ogre::SceneManager& manager) {
+  const auto& queues = manager.getRenderQueue()->_getQueueGroups();
+  return std::any_of(&queues[0], &queues[kRenderQueue], [](const auto& queue) {
+    return queue && !listed(*queue, false, true).empty();
+  });
+}
+
+void SplatCloud::View::postFindVisibleObjects(Ogre::SceneManager* manager,
+                                              Ogre::SceneManager::IlluminationRenderStage,
+                                              Ogre::Viewport* viewport) {
+  groups_.clear();
+  done_.reset();
+  divided_ = false;
+  clouds_ = cloudsIn(*manager);
+  if (clouds_.empty() || !showsScene(*viewport)) return;
+  clearStencilToo(*viewport);
+  group(&SplatCloud::enterView, viewport);
+  forEach([&](Group& group) { group.picture.begin(canvasOf(*viewport)); });
+}
+
+void SplatCloud::View::draw(Turn turn, Ogre::SceneManager& manager) {
+  if (done_ && turn <= *done_) return;
+  Ogre::Viewport& viewport = *manager.getCurrentViewport();
+  if (!showsScene(viewport)) {
+    if (turn == Turn::kBefore && hasPixels(viewport)) drawTouched(viewport);
+  } else if (!done_) {
+    return drawAll(turn, manager);
+  } else if (divided_) {
+    forEach([turn](const Group& group) {
+      turn == Turn::kHide ? group.picture.hideFarther() : group.picture.drawBefore();
+    });
+  }
+  done_ = turn;
+}
+
+void SplatCloud::View::group(Enter enter, Ogre::Viewport* viewport) {
+  groups_.clear();
+  for (SplatCloud* cloud : clouds_) {
     try {
       const std::optional<Layer<Drawer*>> layer = (cloud->*enter)(viewport);
       if (!layer) continue;
       SplatScene& scene = *cloud->scene_;
-      auto group = std::find_if(groups.begin(), groups.end(), [&scene](const Group& other) {
+      auto group = std::find_if(groups_.begin(), groups_.end(), [&scene](const Group& other) {
         return other.picture.takes(scene);
       });
-      if (group == groups.end()) group = groups.insert(group, Group{});
+      if (group == groups_.end()) group = groups_.insert(group, Group{});
       group->clouds.push_back(cloud);
       group->picture.add(scene, *layer);
     } catch (const std::exception& error) {
       cloud->fail(error);
     }
   }
-  return groups;
 }
 
-void SplatCloud::forEach(std::vector<Group>& groups, const std::function<void(Group&)>& act) {
+void SplatCloud::View::forEach(const std::function<void(Group&)>& act) {
   const auto fails = [&act](Group& group) {
     try {
       act(group);
@@ -399,19 +440,15 @@ void SplatCloud::forEach(std::vector<Group>& groups, const std::function<void(Gr
       return true;
     }
   };
-  groups.erase(std::remove_if(groups.begin(), groups.end(), fails), groups.end());
+  groups_.erase(std::remove_if(groups_.begin(), groups_.end(), fails), groups_.end());
 }
 
-void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager) {
-  if (drawn_) {
-    if (divided_.empty()) return;
-    if (turn == Turn::kHide) scene_->hideFarther(divided_);
-    if (turn == Turn::kBefore) scene_->drawBefore(divided_);
-    return;
-  }
+// In kBehind if there are translucent objects, else in kBefore.
+void SplatCloud::View::drawAll(Turn turn, Ogre::SceneManager& manager) {
+  const Ogre::Viewport& viewport = *manager.getCurrentViewport();
   Surroundings around;
   if (turn != Turn::kBefore) {
-    const auto objects = translucent(manager);
+    const auto objects = translucentIn(manager);
     if (objects.empty()) return;
     around.translucent = [&manager, objects] {
       for (const auto& [object, pass] : objects) {
@@ -421,45 +458,52 @@ void SplatCloud::drawSeen(Turn turn, Ogre::SceneManager& manager) {
         pass->setDepthWriteEnabled(writes);
       }
     };
-    const Ogre::Viewport& viewport = *manager.getCurrentViewport();
-    around.translucent_in =
-        reachOf(objects, *camera_, viewport.getActualWidth(), viewport.getActualHeight());
+    around.translucent_in = reachOf(objects, viewport);
   }
   around.opaque = anyOpaque(manager);
-  const std::vector<SplatCloud*> clouds = cloudsIn(manager);
-  for (SplatCloud* cloud : clouds) cloud->drawn_ = true;
-  forEach(clouds.front()->begun_, [&](Group& group) {
+  done_ = turn;
+  divided_ = static_cast<bool>(around.translucent);
+  forEach([&](Group& group) {
     group.picture.draw(around);
-    if (around.translucent) group.clouds.front()->divided_ = group.picture.viewId();
     for (SplatCloud* cloud : group.clouds) cloud->error_.clear();
   });
 }
 
-void SplatCloud::drawTouched(Ogre::SceneManager& manager, Canvas canvas) {
+void SplatCloud::View::drawTouched(Ogre::Viewport& viewport) {
   static std::uint32_t ticket = 0;
-  const std::string& scheme = manager.getCurrentViewport()->getMaterialScheme();
+  const std::string& scheme = viewport.getMaterialScheme();
+  const std::uint32_t handle = clouds_.front()->pick_handle_;
+  const bool picks = handle && (scheme == "Pick" || scheme == "Pick1");
+  if (!picks && scheme != "Depth") return;
   if (scheme == "Pick") ticket = ticket % kMostTickets + 1;
-  const std::vector<SplatCloud*> clouds = cloudsIn(manager);
-  for (SplatCloud* cloud : clouds) cloud->drawn_ = true;
-  std::vector<Group> groups =
-      group(clouds, &SplatCloud::enterMouseTool, manager.getCurrentViewport());
-  forEach(groups, [&](const Group& group) {
-    if (scheme == "Depth") {
-      return group.picture.drawSurface(canvas, camera_->getFarClipDistance());
-    }
-    group.picture.drawPick(canvas, scheme == "Pick" ? pick_handle_ : ticket);
-    group.clouds.front()->picked_with_ = group.clouds;
+  const Canvas canvas = canvasOf(viewport);
+  group(&SplatCloud::enterMouseTool, &viewport);
+  forEach([&](const Group& group) {
+    picks ? group.picture.drawPick(canvas, scheme == "Pick" ? handle : ticket)
+          : group.picture.drawSurface(canvas, viewport.getCamera()->getFarClipDistance());
   });
+  if (!picks) return;
+  picked_.clear();
+  for (const Group& group : groups_) picked_.push_back(group.clouds);
 }
 
-std::vector<std::pair<SplatCloud*, Pick>> SplatCloud::pick() {
+std::vector<std::pair<SplatCloud*, Pick>> SplatCloud::View::takePicks() {
   std::vector<std::pair<SplatCloud*, Pick>> picks;
-  if (picked_with_.empty()) return picks;
-  std::vector<Pick> found = scene_->pick();
-  for (std::size_t i = 0; i < found.size(); ++i) {
-    picks.emplace_back(picked_with_[i], std::move(found[i]));
+  for (const std::vector<SplatCloud*>& clouds : std::exchange(picked_, {})) {
+    std::vector<Pick> found = clouds.front()->scene_->pick();
+    for (std::size_t i = 0; i < found.size(); ++i)
+      picks.emplace_back(clouds[i], std::move(found[i]));
   }
   return picks;
 }
+
+void SplatCloud::View::forget(const SplatCloud* cloud) {
+  const auto has = [cloud](const std::vector<SplatCloud*>& clouds) {
+    return std::find(clouds.begin(), clouds.end(), cloud) != clouds.end();
+  };
+  picked_.erase(std::remove_if(picked_.begin(), picked_.end(), has), picked_.end());
+}
+
+std::vector<std::pair<SplatCloud*, Pick>> SplatCloud::takePicks() { return view().takePicks(); }
 
 }  // namespace rosplat

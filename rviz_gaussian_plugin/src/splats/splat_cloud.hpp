@@ -20,8 +20,7 @@ namespace rosplat {
 
 // A map in an Ogre scene. Opaque objects are drawn before it and hide it; translucent objects are
 // drawn between the splats behind and before them. setPlace() places the map, whatever the pose of
-// its node. The first cloud of a view that Ogre reaches draws all clouds of the view: in one order
-// if one renderer draws them.
+// its node. All clouds of a view are drawn at once: in one order if one renderer draws them.
 class SplatCloud : public Ogre::MovableObject {
  public:
   // Registers with the scene that a viewport is about to show the map from a camera, which is in
@@ -31,6 +30,7 @@ class SplatCloud : public Ogre::MovableObject {
 
   // Shaders are read from the Ogre resource group that holds ogre_media.
   SplatCloud(const std::string& name, const std::string& resource_group, ViewCallback on_view);
+  ~SplatCloud() override;
 
   // Called in the render thread before each view, with OpenGL's context current.
   void setBeforeView(std::function<void()> act) { before_view_ = std::move(act); }
@@ -46,13 +46,9 @@ class SplatCloud : public Ogre::MovableObject {
 
   // The handle by which rviz's selection knows clouds, 24 bits; 0: the cloud can't be selected. The
   // selected splats have a ticket as their handle, a new one for each pick.
-  void setPickHandle(std::uint32_t handle) {
-    pick_handle_ = handle;
-    picked_with_.clear();
-  }
-  // Right after a pick: the picked splats of this cloud and of those drawn with it. Empty if
-  // another cloud drew this one.
-  std::vector<std::pair<SplatCloud*, Pick>> pick();
+  void setPickHandle(std::uint32_t handle) { pick_handle_ = handle; }
+  // Right after a pick, once: the picked splats of each cloud.
+  static std::vector<std::pair<SplatCloud*, Pick>> takePicks();
 
   // A sentence for the user, empty without an error. After an error drawing pauses for a second, or
   // until clearError().
@@ -64,18 +60,17 @@ class SplatCloud : public Ogre::MovableObject {
   const Ogre::AxisAlignedBox& getBoundingBox() const override;
   Ogre::Real getBoundingRadius() const override;
   void _notifyAttached(Ogre::Node* parent, bool is_tag_point) override;
-  void _notifyCurrentCamera(Ogre::Camera* camera) override;
   void _updateRenderQueue(Ogre::RenderQueue* queue) override;
   void visitRenderables(Ogre::Renderable::Visitor* visitor, bool debug) override;
 
  private:
-  // When a part of the map is drawn, in this order.
+  // When a part of a view's maps is drawn, in this order.
   enum class Turn {
     kBehind,  // between the opaque and the translucent objects, if there are translucent ones
-    kHide,    // the same, once all maps are through with kBehind
+    kHide,    // the same, after kBehind
     kBefore,  // after both, before overlays
   };
-  // An entry in Ogre's queues: draws the map in its turn.
+  // An entry in Ogre's queues: the first of a turn draws all clouds of the view.
   class QueueEntry : public Ogre::Renderable {
    public:
     QueueEntry(SplatCloud& cloud, Turn turn) : cloud_(cloud), turn_(turn) {}
@@ -93,29 +88,10 @@ class SplatCloud : public Ogre::MovableObject {
     Turn turn_;
   };
 
-  // Clouds that are drawn together.
-  struct Group {
-    std::vector<SplatCloud*> clouds;
-    SplatScene::Picture picture;
-  };
-  // Has all clouds in view begin() before Ogre draws anything.
-  struct Starter;
+  // The clouds of the view that Ogre is drawing.
+  class View;
+  static View& view();
 
-  // The clouds that Ogre is drawing now, oldest first.
-  static std::vector<SplatCloud*> cloudsIn(Ogre::SceneManager& manager);
-  // Begins the pictures of all clouds that Ogre is going to draw. The oldest cloud keeps them.
-  static void begin(Ogre::SceneManager& manager);
-  void draw(Turn turn, Ogre::SceneManager& manager);
-  void drawSeen(Turn turn, Ogre::SceneManager& manager);
-  // For rviz's mouse tools.
-  void drawTouched(Ogre::SceneManager& manager, Canvas canvas);
-  // Prepares clouds for a viewport by `enter`, and returns in groups those that it shows.
-  using Enter = std::optional<Layer<Drawer*>> (SplatCloud::*)(Ogre::Viewport*);
-  static std::vector<Group> group(const std::vector<SplatCloud*>& clouds, Enter enter,
-                                  Ogre::Viewport* viewport);
-  // Does something for each group. What it throws becomes the error of its clouds, and ends the
-  // group.
-  static void forEach(std::vector<Group>& groups, const std::function<void(Group&)>& act);
   // Brings the map up to date for a viewport. Returns what the viewport shows of it; none if it is
   // not to be drawn, as for a while after an error.
   std::optional<Layer<Drawer*>> enterView(Ogre::Viewport* viewport);
@@ -124,8 +100,6 @@ class SplatCloud : public Ogre::MovableObject {
   SplatCamera cameraIn(const Ogre::Viewport& viewport) const;
   bool pauses() const;
   void fail(const std::exception& error);
-  std::vector<Ogre::RenderablePass> translucent(Ogre::SceneManager& manager) const;
-  static bool anyOpaque(Ogre::SceneManager& manager);  // drawn before the splats in this view
 
   std::array<QueueEntry, 3> entries_{QueueEntry(*this, Turn::kBehind),
                                      QueueEntry(*this, Turn::kHide),
@@ -139,16 +113,10 @@ class SplatCloud : public Ogre::MovableObject {
   Placement place_;
   bool sort_now_ = false;
   std::uint32_t pick_handle_ = 0;
-  std::vector<SplatCloud*> picked_with_;  // which this one drew in the last pick, itself first
-  std::vector<Group> begun_;              // in this frame, if this is the oldest cloud
-  bool drawn_ = false;                    // in this frame
-  // The view drawn in this frame, if divided at translucent objects: kHide and kBefore follow.
-  std::string divided_;
   std::string error_;
   std::chrono::steady_clock::time_point error_ends_;
   Ogre::MaterialPtr material_;
   Ogre::AxisAlignedBox box_ = Ogre::AxisAlignedBox::BOX_INFINITE;
-  Ogre::Camera* camera_ = nullptr;
 };
 
 }  // namespace rosplat

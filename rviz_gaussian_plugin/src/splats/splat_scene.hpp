@@ -75,12 +75,13 @@ class SplatScene {
     // Whether the map of a prepared scene can be in the picture: one renderer draws all.
     bool takes(const SplatScene& scene) const;
     void add(SplatScene& scene, Layer<Drawer*> layer);
-    // The first layer's view.
-    const std::string& viewId() const { return maps_.layers.front().view_id; }
     // What the other objects around the maps don't change is done by begin(), so that the graphics
     // card works while these are drawn. draw() follows before the next begin().
     void begin(Canvas canvas);
     void draw(const Surroundings& around) const;
+    // After draw() with translucent objects; see SplatRenderer.
+    void hideFarther() const { maps_.map()->hideFarther(maps_.viewId()); }
+    void drawBefore() const { maps_.map()->drawBefore(maps_.viewId()); }
     // For rviz's mouse tools: writes the depth of the surface that a view shows; see SplatRenderer.
     void drawSurface(Canvas canvas, double far_clip) const;
     // Writes a number where pick() finds splats; see SplatRenderer.
@@ -101,9 +102,6 @@ class SplatScene {
   // all edits, and no sidecar's order. Throws gl::Error.
   const FrameReport& draw(const std::string& view_id, const RenderSettings& settings, Canvas canvas,
                           bool sort_now = false, const Surroundings& around = {});
-  // Render thread: after a draw() of a view with translucent objects; see SplatRenderer.
-  void hideFarther(const std::string& view_id) const { drawer_->hideFarther(view_id); }
-  void drawBefore(const std::string& view_id) const { drawer_->drawBefore(view_id); }
   // Render thread: the report of a view's last draw(); without an order source before the first.
   FrameReport report(const std::string& view_id) const;
   // Render thread, after Picture::drawPick() of this map and others: the picked splats of each. The

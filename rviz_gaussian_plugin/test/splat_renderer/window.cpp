@@ -267,10 +267,13 @@ TEST_F(SplatRendererTest, LeavesTheStateOfOthersAsItIs) {
       EXPECT_TRUE(depth_now[i] == depth[i] || std::isnan(depth[i])) << i;
     }
     EXPECT_EQ(changed(before), State());
-    scene.draw("view", settings, Canvas::kWindow, false, around);
+    SplatScene::Picture divided;
+    divided.add(scene, scene.layer("view", settings, false));
+    divided.begin(Canvas::kWindow);
+    divided.draw(around);
     EXPECT_EQ(changed(before), State());
-    scene.hideFarther("view");
-    scene.drawBefore("view");
+    divided.hideFarther();
+    divided.drawBefore();
     EXPECT_EQ(changed(before), State());
     underMouse(scene, settings).drawSurface(Canvas::kWindow, 100);
     EXPECT_EQ(changed(before), State());

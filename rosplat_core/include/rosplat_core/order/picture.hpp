@@ -30,6 +30,7 @@ struct Picture {
   std::vector<Layer<Map>> layers;
 
   const Map& map() const { return layers.front().map; }
+  const std::string& viewId() const { return layers.front().view_id; }
   const SplatCamera& camera() const { return layers.front().camera; }
   const RenderSettings& settings() const { return layers.front().settings; }
   // The given order; null: sorted by depth, or unsorted. An order is of one map alone.

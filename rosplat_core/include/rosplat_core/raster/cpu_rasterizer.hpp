@@ -87,6 +87,8 @@ struct PictureRequest {
   ArrayView<float> residual;
   // Another thread sets this to cancel the picture.
   const std::atomic<bool>* cancelled = nullptr;
+
+  const SplatCamera& camera() const { return layers.front().camera; }
 };
 
 // Arrays of width * height pixels, top row first. Arrays that weren't asked for are empty.
