@@ -27,11 +27,14 @@ class Request(NamedTuple):
 
 @dataclass
 class Step:
-    """What to do now: batches to apply in turn, a request to send, whether to subscribe anew."""
+    """What to do now: batches to apply in turn, a request to send, whether to subscribe and to join
+    anew.
+    """
 
     batches: list[tuple[Any, Arrival]] = field(default_factory=list)
     request: Request | None = None
     subscribe_anew: bool = False
+    join_anew: bool = False
 
 
 class Pull:
@@ -71,5 +74,5 @@ class Pull:
 
 
 def _step(result: Any) -> Step:
-    batches, request, subscribe_anew = result
-    return Step(batches, Request(*request) if request else None, subscribe_anew)
+    batches, request, *anew = result
+    return Step(batches, Request(*request) if request else None, *anew)

@@ -199,6 +199,31 @@ class Deaf(MapReceiver):
             super()._on_message(message)
 
 
+class UnreachedAtFirst(MapReceiver):
+    """Hears nothing by the participant of its node, as if Fast DDS had lost the way to it."""
+
+    def __init__(self, node: Node, *arguments: Any, **named: Any) -> None:
+        self._first = node
+        super().__init__(node, *arguments, **named)
+
+    def _on_message(self, *message: Any) -> None:
+        if self._node is not self._first:
+            super()._on_message(*message)
+
+    def _on_answer(self, *answer: Any) -> None:
+        if self._node is not self._first:
+            super()._on_answer(*answer)
+
+
+class UnreachedInPython(InPython):
+    kind = UnreachedAtFirst
+    _receiver: UnreachedAtFirst
+
+    def close(self) -> None:
+        assert self._receiver._node is not self._receiver._first
+        super().close()
+
+
 class DeafInPython(InPython):
     kind = Deaf
     _receiver: Deaf
@@ -446,6 +471,19 @@ def a_neighbour_that_hangs(stage: Stage) -> None:
     stage.listen()
 
 
+def a_neighbour_that_hung_and_was_killed(stage: Stage) -> None:
+    source = stage.publish(_qos(depth=8), Serving())
+    source.write(*range(30))
+    neighbour = stage.neighbour()
+    os.kill(neighbour.pid, signal.SIGSTOP)
+    for number in range(30, 36):
+        source.write(number)
+        time.sleep(0.5)
+    neighbour.kill()
+    neighbour.wait()
+    stage.listen()
+
+
 def missed_batches_that_the_history_holds(stage: Stage) -> None:
     source = stage.publish(_qos())
     stage.meet()
@@ -468,11 +506,13 @@ CIRCUMSTANCES = (
     a_publisher_that_begins_anew,
     a_neighbour_that_was_killed,
     a_neighbour_that_hangs,
+    a_neighbour_that_hung_and_was_killed,
 )
 CASES: list[tuple[type[Receiver], Callable[[Stage], None]]] = [
     (kind, circumstance) for kind in (InPython, InCpp) for circumstance in CIRCUMSTANCES
 ]
 CASES.append((DeafInPython, missed_batches_that_the_history_holds))
+CASES.append((UnreachedInPython, joining_late_where_pulls_are_served))
 
 
 @pytest.fixture

@@ -288,6 +288,30 @@ def test_what_nobody_answers_for_is_looked_for_once_in_the_history() -> None:
     assert len(later) == 1
 
 
+def test_whom_nothing_reaches_joins_anew_once_and_asks_again() -> None:
+    pull = Pull()
+    joined = [now for now in np.arange(0.0, 60.0, 0.1) if pull.tick(now, now > 2).join_anew]
+    assert len(joined) == 1
+    assert 14 <= joined[0] < 14.3
+
+    pull = Pull()
+    steps = [(now, pull.tick(now, now < 12.2 or now > 13.0)) for now in np.arange(0.0, 20.0, 0.1)]
+    (join,) = (now for now, step in steps if step.join_anew)
+    again = next(now for now, step in steps if now > join and step.request)
+    assert join + 0.5 < again < join + 2.5, "once the new participant knows the server"
+
+
+def test_whom_anything_reaches_never_joins_anew() -> None:
+    heard, answered = Pull(), Pull()
+    heard.receive(Label("map", 1, True), 1, 0.0, True)
+    asked = answered.tick(0.0, True).request
+    assert asked
+    answered.answer(asked.number, [], 0, 0.1, True)  # that server has no map
+    for now in np.arange(0.2, 60.0, 0.1):
+        assert not heard.tick(now, True).join_anew
+        assert not answered.tick(now, True).join_anew
+
+
 def test_a_history_from_its_beginning_is_taken_whole() -> None:
     pull = lacking()
     pull.subscribed_anew(1.0)
@@ -529,7 +553,7 @@ def test_a_pull_takes_what_its_answers_take(takes: float, edits: float, late: bo
     server = Server(0.0 if late else takes, edits=edits, delay=takes if late else 0.0)
     assert time_to_pull(server, limit=10_000.0) < 1.1 * BLOCKS * takes + 5
     twice = sum(server.asked.values()) - len(server.asked)
-    assert twice <= (0 if takes < 2 else 5)
+    assert twice <= (0 if takes < 2 else 6)
 
 
 @pytest.mark.parametrize("takes", [0.1, 1.5, 3.9])

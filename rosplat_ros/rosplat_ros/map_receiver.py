@@ -21,6 +21,7 @@ from rosplat_core.splats import check_kind
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap
 from rosplat_ros.batches import array_bytes
+from rosplat_ros.own_node import node_of_its_own
 from rosplat_ros.program.mistakes import type_name
 from rosplat_ros.qos import MAP, overridable
 
@@ -32,7 +33,9 @@ class MapReceiver:
     """Hears the publishers of a map's topic, and pulls what is missing from their servers.
 
     The subscription asks for what `choose_map_qos` says of the publishers, and begins anew when
-    that changes. `MapPull` tells batches that come again from a map that is played again.
+    that changes. `MapPull` tells batches that come again from a map that is played again, and when
+    nothing reaches this process: the receiver then joins the network anew, by a participant of its
+    own.
     """
 
     def __init__(
@@ -53,23 +56,17 @@ class MapReceiver:
         check_kind(node, Node, "node")
         self._node, self._on_batch, self._busy = node, on_batch, busy
         self._most_sh_degree = most_sh_degree
-        self.topic = node.resolve_topic_name("gaussians")
+        self._name = "gaussians"  # of the topic for the node, which may remap it
+        self.topic = node.resolve_topic_name(self._name)
         self._unheard: set[str] = set()  # policies that keep a publisher from being heard
         self._maps = ("", "")  # the last batch's map_id, and the other one before that
         self._pull = MapPull()
         self._lock = RLock()  # answers to requests come outside of the callback groups
-        group = MutuallyExclusiveCallbackGroup()
-        self._client: Client = node.create_client(
-            PullMap, f"{self.topic}/pull", callback_group=group
-        )
         self._served = False  # pulls are, or were while there were publishers
         self._asked: dict[int, Future] = {}  # answers to come, by the number of the request
         self._qos: MapQos | None = None
         self._subscription: Subscription | None = None
-        self._adapt_to_publishers()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
-        node.create_timer(WATCH_PERIOD, self._adapt_to_publishers, group, steady)
-        node.create_timer(PULL_PERIOD, self._tick, group, steady)
+        self._listen()
 
     @property
     def pulling(self) -> bool:
@@ -82,6 +79,36 @@ class MapReceiver:
         """
         with self._lock:
             self._pull.restart(time.monotonic())
+
+    def _listen(self) -> None:
+        group = MutuallyExclusiveCallbackGroup()
+        self._client: Client = self._node.create_client(
+            PullMap, f"{self.topic}/pull", callback_group=group
+        )
+        self._adapt_to_publishers()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
+        self._timers = [
+            self._node.create_timer(period, act, group, steady)
+            for period, act in (
+                (WATCH_PERIOD, self._adapt_to_publishers),
+                (PULL_PERIOD, self._tick),
+            )
+        ]
+
+    def _join_anew(self) -> None:
+        """Listens by a participant of its own from now on, in a thread of its own."""
+        node = self._node
+        node.get_logger().warning(
+            f"{self.topic}: a publisher is there, and nothing of it arrives: joining anew"
+        )
+        for timer in self._timers:
+            node.destroy_timer(timer)
+        node.destroy_client(self._client)
+        if self._subscription:
+            node.destroy_subscription(self._subscription)
+        self._asked, self._qos, self._subscription = {}, None, None
+        self._node, self._name = node_of_its_own(node), self.topic  # remaps nothing
+        self._listen()
 
     def _subscribe(self, chosen: MapQos) -> None:
         """Subscribes, or subscribes anew."""
@@ -97,7 +124,7 @@ class MapReceiver:
         self._pull.subscribed_anew(time.monotonic())
         self._subscription = self._node.create_subscription(
             GaussianArray,
-            "gaussians",
+            self._name,
             self._on_message,
             callback_group=_Gate(lambda: self._busy() and not self._is_served()),
             **overridable(MAP, qos),
@@ -129,8 +156,10 @@ class MapReceiver:
     def _is_served(self) -> bool:
         return bool(self._client.service_is_ready())
 
-    def _carry_out(self, step: tuple[Any, Any, bool]) -> None:
-        batches, request, subscribe_anew = step
+    def _carry_out(self, step: tuple[Any, Any, bool, bool]) -> None:
+        batches, request, subscribe_anew, join_anew = step
+        if join_anew:
+            self._join_anew()
         if request:  # first, so that it is answered meanwhile
             self._send(*request)
         for batch, arrival in batches:

@@ -6,7 +6,9 @@
 #include <chrono>
 #include <mutex>
 #include <new>
+#include <optional>
 
+#include "own_node.hpp"
 #include "pull_client.hpp"
 #include "rosplat_core/map/gaussian_map.hpp"
 #include "rosplat_core/map/map_pull.hpp"
@@ -60,17 +62,10 @@ class MapReceiver::Listener {
           node_.base->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive);
     }
     report_.topic = node_.topics->resolve_topic_name(options_.topic);
-    pull_client_ = PullClient::make(
-        *node_.base, node_.graph, *node_.services, report_.topic + "/pull", options_.group,
-        [this](std::uint64_t number, std::shared_ptr<const PullClient::Response> response) {
-          takeAnswer(number, std::move(response));
-        });
-    if (options_.watches) {
-      watch();
-      watch_ = addTimer(kWatchPeriod, [this] { meetPublishers(); });
-    }
-    subscribe();
-    tick_ = addTimer(kPullPeriod, [this] { tick(); });
+    listen();
+  }
+  ~Listener() {
+    if (own_) own_->thread.stop();
   }
 
   Report report() const {
@@ -95,7 +90,7 @@ class MapReceiver::Listener {
     chosen_ = choice.qos;
     const bool any_volatile = std::any_of(
         offers.begin(), offers.end(), [](const MapQos& offer) { return !offer.transient_local; });
-    const bool anew = subscribe_anew_.exchange(false) && chosen_.transient_local;
+    const bool anew = (subscribe_anew_.exchange(false) && chosen_.transient_local) || join_anew_;
     const std::lock_guard lock(mutex_);
     report_.publishers = std::move(names);
     if (report_.publishers.size() < 2) report_.contended = false;
@@ -107,6 +102,14 @@ class MapReceiver::Listener {
   }
 
   void subscribe() {
+    if (join_anew_.exchange(false)) return joinAnew();
+    std::optional<GroupThread::Pause> pause;
+    if (own_ && !options_.watches) pause.emplace(own_->thread);  // else its thread calls this
+    makeSubscription();
+  }
+
+ private:
+  void makeSubscription() {
     rclcpp::QoS qos(options_.qos);
     if (chosen_.depth != toMapQos(qos).depth) qos.keep_last(chosen_.depth);
     if (!chosen_.reliable) qos.best_effort();
@@ -122,7 +125,37 @@ class MapReceiver::Listener {
         [this](std::shared_ptr<const Message> message) { receive(std::move(message)); }, options);
   }
 
- private:
+  void listen() {
+    pull_client_ = PullClient::make(
+        *node_.base, node_.graph, *node_.services, report_.topic + "/pull", options_.group,
+        [this](std::uint64_t number, std::shared_ptr<const PullClient::Response> response) {
+          takeAnswer(number, std::move(response));
+        });
+    if (options_.watches) {
+      watch();
+      watch_ = addTimer(kWatchPeriod, [this] { meetPublishers(); });
+    }
+    makeSubscription();
+    tick_ = addTimer(kPullPeriod, [this] { tick(); });
+  }
+
+  // Listens by a participant of its own from now on, in a thread of its own.
+  void joinAnew() {
+    RCLCPP_WARN(logger_, "%s: a publisher is there, and nothing of it arrives: joining anew",
+                report_.topic.c_str());
+    watch_.reset();
+    tick_.reset();
+    map_.reset();
+    pull_client_.reset();
+    collectEntities(*options_.group);
+    own_ = std::make_unique<OwnNode>(node_);
+    node_ = NodeInterfaces(own_->node);
+    options_.group = own_->group;
+    options_.topic = report_.topic;  // nothing is remapped there
+    listen();
+    own_->thread.start();
+  }
+
   rclcpp::TimerBase::SharedPtr addTimer(std::chrono::milliseconds period,
                                         std::function<void()> callback) {
     return rclcpp::create_wall_timer(period, std::move(callback), options_.group, node_.base.get(),
@@ -180,6 +213,7 @@ class MapReceiver::Listener {
   void act(Pull::Step step) {
     if (step.request) send(*step.request);  // first, so that it is answered meanwhile
     if (step.subscribe_anew) subscribe_anew_ = true;
+    if (step.join_anew) join_anew_ = true;
     for (const auto& [message, arrival] : step.batches) {
       if (!passOn(*message, arrival)) {
         pull_.restart(now());
@@ -234,7 +268,7 @@ class MapReceiver::Listener {
     act(pull_.answer(number, std::move(batches), response->next_block, now(), served()));
   }
 
-  NodeInterfaces node_;
+  NodeInterfaces node_;  // own_'s once there is one
   const OnBatch on_batch_;
   ReceiverOptions options_;
   const rclcpp::Logger logger_;
@@ -242,11 +276,12 @@ class MapReceiver::Listener {
   MapQos chosen_;                                // of the subscription, as publishers are now
   MapQos qos_;                                   // of the subscription
   bool serves_ = false;                          // pulls are, or were while there were publishers
-  std::atomic<bool> subscribe_anew_ = false;
+  std::atomic<bool> subscribe_anew_ = false, join_anew_ = false;
   Pull pull_;
   std::array<std::string, 2> maps_;  // ids of the newest map, and of the one before
   mutable std::mutex mutex_;         // report_, but for its topic, which stays
   Report report_;
+  std::unique_ptr<OwnNode> own_;  // after joinAnew()
   std::shared_ptr<PullClient> pull_client_;
   rclcpp::Subscription<Message>::SharedPtr map_;
   rclcpp::TimerBase::SharedPtr watch_, tick_;

@@ -74,14 +74,14 @@ Pull::Labelled labelled(const Labelled& from) {
 }
 
 // The batches to apply, each with its Arrival, the request to send, or None, and whether to
-// subscribe anew.
+// subscribe and to join anew.
 py::tuple toPython(const Pull::Step& step) {
   py::object request = py::none();
   if (const auto& asked = step.request) {
     request =
         py::make_tuple(asked->number, asked->map_id, asked->after_revision, asked->first_block);
   }
-  return py::make_tuple(step.batches, request, step.subscribe_anew);
+  return py::make_tuple(step.batches, request, step.subscribe_anew, step.join_anew);
 }
 
 // As MapQos has it: reliable, transient local, depth.

@@ -33,9 +33,10 @@ struct ReceiverOptions {
 // Hears the publishers of a map's topic, and pulls what is missing from their servers.
 //
 // The subscription asks for what chooseMapQos says of the publishers, and begins anew when that
-// changes. MapPull tells batches that come again from a map that is played again. All callbacks are
-// of one callback group, which the node's executor spins. End a receiver in the thread that spins
-// it, or once nobody does.
+// changes. MapPull tells batches that come again from a map that is played again, and when nothing
+// reaches this process: the receiver then joins the network anew, by a participant of its own, and
+// calls back from a thread of its own. Until then all callbacks are of one callback group, which
+// the node's executor spins. End a receiver in the thread that spins it, or once nobody does.
 class MapReceiver {
  public:
   using GaussianArray = rosplat_msgs::msg::GaussianArray;
@@ -73,8 +74,7 @@ class MapReceiver {
   // Looks at the topic's publishers; to be called once a second or so. Returns whether it is time
   // to subscribe() anew.
   bool watch();
-  // Subscribes anew, while nobody spins the group: an executor (rclcpp, Jazzy) that takes messages
-  // may miss a subscription that another thread makes.
+  // Subscribes anew, while nobody spins the group: see GroupThread::Pause.
   void subscribe();
 
  private:

@@ -1,6 +1,5 @@
 #include "gaussian_client.hpp"
 
-#include <chrono>
 #include <iterator>
 #include <new>
 #include <utility>
@@ -14,8 +13,6 @@
 namespace rosplat {
 
 namespace {
-
-using namespace std::chrono_literals;
 
 constexpr double kWatchPeriod = 1;  // [s]
 // While more edits wait to be drawn, batches that can be pulled later aren't taken. [bytes]
@@ -81,32 +78,12 @@ GaussianClient::GaussianClient(const rclcpp::Node::SharedPtr& node, const std::s
                                                                            viewQos(32), publishing);
   picked_publisher_ = node_->create_publisher<rosplat_msgs::msg::Gaussian>(remapped_ + "/picked",
                                                                            pickedQos(), publishing);
-  executor_.add_callback_group(group_, node_->get_node_base_interface());
-  start();
+  receiving_ = std::make_unique<GroupThread>(NodeInterfaces(*node_), group_);
+  receiving_->start();
   watch();
 }
 
-GaussianClient::~GaussianClient() { stop(); }
-
-void GaussianClient::start() {
-  stop_ = false;
-  thread_ = std::thread([this] {
-    while (!stop_ && rclcpp::ok()) {
-      try {
-        executor_.spin_once(100ms);
-      } catch (const std::exception& error) {  // memory may be lacking for a message, say
-        RCLCPP_ERROR_THROTTLE(node_->get_logger(), steady_clock_, 5000, "%s: %s", topic_.c_str(),
-                              printable(error.what()).c_str());
-      }
-    }
-  });
-}
-
-void GaussianClient::stop() {
-  stop_ = true;
-  executor_.cancel();
-  thread_.join();
-}
+GaussianClient::~GaussianClient() { receiving_->stop(); }
 
 void GaussianClient::apply(const MapReceiver::GaussianArray& message, Arrival arrival) {
   scene_.apply(toBatch(message, arrival));
@@ -163,7 +140,7 @@ void GaussianClient::watch() {
   watched_ = now();
   try {
     if (auto gone = sidecar_->askSorters(); !gone.empty()) {
-      const Pause pause(*this);
+      const Pause pause(*receiving_);
       gone.clear();
     }
     watchPublishers();
@@ -179,7 +156,7 @@ void GaussianClient::watchPublishers() {
   views_followed_ = view_publisher_->get_subscription_count() > sorters_;
   if (map_->report().batches == 0) other_user_ = otherUserSharesMemory();
   if (map_->watch()) {
-    const Pause pause(*this);
+    const Pause pause(*receiving_);
     map_->subscribe();
   }
   const std::lock_guard lock(mutex_);
@@ -196,7 +173,7 @@ void GaussianClient::publishPose(const rosplat_msgs::msg::ViewCamera& view) {
 
 void GaussianClient::setServing(bool serving) {
   if (!serving) {
-    const Pause pause(*this);
+    const Pause pause(*receiving_);
     return render_service_.reset();
   }
   render_service_ = node_->create_service<RenderView>(

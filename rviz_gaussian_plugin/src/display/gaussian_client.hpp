@@ -12,13 +12,12 @@
 #include <set>
 #include <std_msgs/msg/header.hpp>
 #include <string>
-#include <thread>
 
 #include "camera_trail.hpp"
 #include "fair_queue.hpp"
 #include "rosplat_core/order/order_slots.hpp"
+#include "rosplat_ros/group_thread.hpp"
 #include "rosplat_ros/map_receiver.hpp"
-#include "rosplat_ros/ros_versions.hpp"
 #include "sidecar_switch.hpp"
 #include "splat_scene.hpp"
 
@@ -83,25 +82,9 @@ class GaussianClient {
 
  private:
   using SplatOrder = rosplat_msgs::msg::SplatOrder;
+  using Pause = GroupThread::Pause;
   static constexpr std::size_t kMostRequests = 64;  // waiting requests for pictures
 
-  // Stops the executor within its scope. What it waits for, its thread holds, too: let go
-  // meanwhile, it would end in that thread, while the owner makes or ends others of the node, for
-  // which rcl has no lock. And while messages arrive, rclcpp's executor (Jazzy) may miss a
-  // subscription that another thread makes, and never wait for it.
-  struct Pause {
-    explicit Pause(GaussianClient& client) : of(client) { of.stop(); }
-    ~Pause() {
-      collectEntities(*of.group_);
-      of.start();
-    }
-    Pause(const Pause&) = delete;
-    Pause& operator=(const Pause&) = delete;
-
-    GaussianClient& of;
-  };
-  void start();
-  void stop();
   void apply(const MapReceiver::GaussianArray& message, Arrival arrival);
   void receive(SplatOrder& message);
   void dropOrder(const std::string& why);
@@ -131,9 +114,7 @@ class GaussianClient {
   FairQueue<std::string, RenderRequest> requests_{kMostRequests};
   std::set<std::string> views_;  // published and not forgotten: their orders are read
 
-  rclcpp::executors::SingleThreadedExecutor executor_;
-  std::atomic<bool> stop_{false};
-  std::thread thread_;
+  std::unique_ptr<GroupThread> receiving_;  // after what its callbacks use
 };
 
 }  // namespace rosplat

@@ -70,6 +70,11 @@ class Patience {
 // Where nobody answers, the publishers' history may have what is missing. So the receiver
 // subscribes anew, once, and takes of the history what follows the last revision that it has all
 // of.
+//
+// Where a server is known and nothing has ever come, the middleware may have lost the way to this
+// process: Fast DDS does in shared memory, after a process that hung was killed and this one has
+// got its port (eProsima/Fast-DDS#5469). So the receiver joins the network anew, once, by another
+// participant.
 template <typename Batch>
 class MapPull {
  public:
@@ -85,6 +90,8 @@ class MapPull {
   static constexpr double kBlind = 2.0;
   // Time from the last batch or request until the receiver asks whether a batch got lost. [s]
   static constexpr double kQuiet = 2.0;
+  // Time from a server's first sign until a receiver that nothing reaches joins anew. [s]
+  static constexpr double kDeaf = 12.0;
   // Time for the next batch of a history. [s]
   static constexpr double kHistory = 5.0;
   // The most that waits for the end of a pull. [bytes]
@@ -109,18 +116,20 @@ class MapPull {
     std::uint64_t after_revision = 0;
     std::uint32_t first_block = 0;
   };
-  // What the caller has to do now: apply batches in turn, send a request, and subscribe anew if the
-  // subscription is transient local.
+  // What the caller has to do now: apply batches in turn, send a request, subscribe anew if the
+  // subscription is transient local, and join the network anew.
   struct Step {
     std::vector<std::pair<Batch, Arrival>> batches;
     std::optional<Request> request;
     bool subscribe_anew = false;
+    bool join_anew = false;
   };
 
   // Takes a batch from the topic. served: whether a server is known.
   Step receive(Labelled heard, double now, bool served) {
     Step step;
     const Label& label = heard.label;
+    reached_ = true;
     if (label.revision == 0) {  // will be refused
       step.batches.emplace_back(std::move(heard.batch), Arrival::kHeard);
       return step;
@@ -141,6 +150,7 @@ class MapPull {
   // Takes the label of a batch from the topic that there was no room for: it is pulled later, since
   // a server is known.
   void miss(const Label& label, double now) {
+    reached_ = true;
     if (label.revision == 0 || repeats(label, now)) return;
     note(label, true);
     exact_ = false;
@@ -168,6 +178,7 @@ class MapPull {
   Step answer(std::uint64_t number, std::vector<Labelled> batches, std::uint32_t next_block,
               double now, bool served) {
     Step step;
+    reached_ = true;
     if (!awaits(number)) return step;
     if (batches.empty()) {  // this server lacks the map; another may have it
       if (!refused_from_) refused_from_ = now;
@@ -241,6 +252,14 @@ class MapPull {
     }
     if (late && !served && lacks() && map_id_ && !pulling_ && !silent_ && !searched_) {
       step.subscribe_anew = searched_ = true;
+    }
+    if (served && !reached_) {
+      if (!deaf_from_) deaf_from_ = now + kDeaf;
+      step.join_anew = reached_ = now >= *deaf_from_;
+    }
+    if (step.join_anew) {  // the new participant knows no server yet
+      asked_ = pulling_ = silent_ = false;
+      retry_from_ = now + kBlind;
     }
     ask(now, served, step);
     return step;
@@ -460,6 +479,8 @@ class MapPull {
   std::optional<double> refused_from_;  // when a server answered that it lacks the map [s]
   bool answered_ = false;               // a server answers, even if none is known
   Patience patience_;
+  bool reached_ = false;  // something has come, or the receiver has joined anew
+  std::optional<double> deaf_from_;
   bool searched_ = false;  // the history of this map, for what is missing
   double history_until_ = kNever;
   double ask_from_ = kNever, retry_from_ = kNever, blind_from_ = kNever, check_from_ = kNever;
