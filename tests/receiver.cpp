@@ -1,8 +1,9 @@
 // A receiver of a map that a test asks: "busy 1" or "busy 0" on stdin, or "state" and slots.
 // Answers with the map's id, its revision, batches missed, whether a pull is under way, and which
-// of the slots are in use.
+// of the slots are in use. With the argument "whole" it ends once the map is complete.
 
 #include <atomic>
+#include <chrono>
 #include <iostream>
 #include <mutex>
 #include <rosplat_core/map/gaussian_map.hpp>
@@ -26,7 +27,15 @@ int main(int argc, char** argv) {
   };
   const rosplat::MapReceiver receiver(*node, apply, options);
   std::thread spinning([&node] { rclcpp::spin(node); });
-  for (std::string line, command; std::getline(std::cin, line);) {
+  const auto complete = [&] {
+    const std::lock_guard lock(mutex);
+    return map.state().complete();
+  };
+  if (argc > 1 && std::string(argv[1]) == "whole") {
+    while (!complete()) std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    rclcpp::shutdown();
+  }
+  for (std::string line, command; rclcpp::ok() && std::getline(std::cin, line);) {
     std::istringstream words(line);
     words >> command;
     if (command == "busy") {

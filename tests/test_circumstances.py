@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import Header
 
 from rosplat_core.maps import Arrival, GaussianMap, PublishedBatch, PublishedMap
@@ -57,11 +58,17 @@ class Serving:
 class Source:
     """Publishes a map of one batch a block, and may answer pulls of it."""
 
-    def __init__(self, namespace: str, offer: QoSProfile, serving: Serving | None) -> None:
+    def __init__(
+        self,
+        namespace: str,
+        offer: QoSProfile,
+        serving: Serving | None,
+        domain: int | None = None,
+    ) -> None:
         self.lost: set[int] = set()  # revisions that never reach the topic
         self.sent: list[GaussianArray] = []
         self._context = rclpy.Context()
-        rclpy.init(context=self._context)
+        rclpy.init(context=self._context, domain_id=domain)
         self._node = rclpy.create_node("source", namespace=namespace, context=self._context)
         self._publisher = self._node.create_publisher(GaussianArray, "gaussians", offer)
         self._random = np.random.default_rng(3)
@@ -551,3 +558,53 @@ def test_receivers_come_to_the_publisher_s_map(
         stage.wait(stage.is_whole)
     finally:
         stage.close()
+
+
+LOST = (
+    "import rclpy; from rosplat_core.maps import GaussianMap; from rosplat_ros import MapReceiver; "
+    "rclpy.init(); node = rclpy.create_node('receiver'); map = GaussianMap(); "
+    "MapReceiver(node, map.apply)\n"
+    "while not map.complete: rclpy.spin_once(node, timeout_sec=0.1)"
+)
+
+
+@pytest.mark.skipif(get_rmw_implementation_identifier() != "rmw_fastrtps_cpp", reason="Fast DDS's")
+@pytest.mark.parametrize("language", ["python", "cpp"])
+def test_a_receiver_whose_port_in_shared_memory_was_lost_joins_anew(
+    language: str, namespace: str, request: pytest.FixtureRequest
+) -> None:
+    """As a publisher loses it that still writes to one who hung, was killed, and had that port."""
+    domain = 90 + os.getpid() % 10
+    user_ports = range(7400 + 250 * domain + 11, 7400 + 250 * (domain + 1), 2)
+
+    def ports() -> set[tuple[int, int]]:  # and when they were opened
+        locks = [Path(f"/dev/shm/fastrtps_port{port}_el") for port in user_ports]
+        return {
+            (port, lock.stat().st_ctime_ns)
+            for port, lock in zip(user_ports, locks, strict=True)
+            if lock.exists()
+        }
+
+    before = ports()
+    program = [sys.executable, "-c", LOST]
+    if language == "cpp":
+        program = [str(request.getfixturevalue("program")), "whole"]
+    with subprocess.Popen(
+        [*program, "--ros-args", "-r", f"__ns:={namespace}"],
+        env=os.environ | {"ROS_DOMAIN_ID": str(domain)},
+    ) as process:
+        try:
+            deadline = time.monotonic() + PATIENCE
+            while not (new := [port for port, _ in ports() - before]):
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            time.sleep(0.5)  # the port is open
+            (Path("/dev/shm") / f"fastrtps_port{new[0]}").unlink()
+            source = Source(namespace, _qos(depth=8), Serving(), domain)
+            try:
+                source.write(*range(30))
+                assert process.wait(PATIENCE) == 0
+            finally:
+                source.close()
+        finally:
+            process.kill()
