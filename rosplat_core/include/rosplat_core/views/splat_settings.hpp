@@ -12,7 +12,8 @@ struct Range {
 };
 
 // The settings that change splats one by one. Kernels and shaders read them as they stand here: the
-// uniform block of splat_map.glsl begins with the same fields (std140), 32 bytes.
+// uniform block of splat_map.glsl begins with the same fields (std140). All are of four bytes, and
+// none is padding: RenderSettings::sameSplats() compares bytes.
 struct SplatSettings {
   Range depth_range;  // of kDepth [m]; empty: that of the splats drawn in kDepth
   DrawMode mode = DrawMode::kColor;
@@ -22,6 +23,7 @@ struct SplatSettings {
   float near_fade = 0;   // splats closer than this to the near plane fade out [m]
   float age_range = 10;  // of kAge [s]
 };
-static_assert(sizeof(SplatSettings) == 32);
+static_assert(sizeof(SplatSettings) == 32,
+              "splat_map.glsl has the same fields; count their bytes here");
 
 }  // namespace rosplat

@@ -21,15 +21,16 @@ struct ViewBlock {
   float now;
 };
 
-// What the shaders of a map share, as splat_map.glsl has it (std140).
+// What the shaders of a map share, as splat_map.glsl has it (std140, which aligns vectors: so do
+// these).
 struct alignas(gl::Slice::kAlignment) MapBlock : SplatSettings {
   explicit MapBlock(const FrameLayer& layer);
 
   using Flag = std::uint32_t;
 
-  std::array<float, 3> box_size;
+  alignas(16) std::array<float, 3> box_size;
   Flag clip_to_box;
-  std::array<float, 2> slope, rise;
+  alignas(8) std::array<float, 2> slope, rise;
   std::uint32_t kind;
   std::int32_t sh_degree;
   std::int32_t model;
