@@ -16,11 +16,8 @@ PROCEDURAL = "procedural:"
 ROOMS = "rooms:"
 GENERATED = {PROCEDURAL: "garden", ROOMS: "rooms"}
 
-NAMES = (
-    ".ply, .compressed.ply, .spz, .sog, a SOG folder, lod-meta.json, .splat, .ksplat, .npz, .glb, "
-    ".gltf, .usd, .usda, .usdc, .usdz, a folder of tiles, a trainer's folder, "
-    "procedural:COUNT[:SEED] or rooms:COUNT[:SEED]"
-)
+READS = ", ".join(module.READS for module in formats.FORMATS)
+NAMES = f"{READS}, procedural:COUNT[:SEED] or rooms:COUNT[:SEED]"
 
 
 def is_generated(name: str) -> bool:

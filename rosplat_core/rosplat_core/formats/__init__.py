@@ -71,12 +71,13 @@ __all__ = [
 
 _log = logging.getLogger(__name__)
 
-# Each module has NAME, recognises(path, head), read(path, progress, warn, into). One that writes
-# has SUFFIXES and write(stream, path, splats): path, which stream will replace, tells the ending
-# and is named in errors. Optional: axes(path) (if not AS_TRAINED), IN_SPACE_ORDER (it packs
-# neighbours), FINITE (it has no other numbers), KEEPS_CHANNELS, KEEPS_ORIGIN (splats may lie far
-# from 0), MODELS (that it tells, if not EWA alone), require(path) (raises where a package is
-# missing), DRAWN (how the format has its splats drawn, if otherwise).
+# Each module has NAME, READS (what it reads, as users name it: endings, or a kind of folder),
+# recognises(path, head), read(path, progress, warn, into). One that writes has SUFFIXES and
+# write(stream, path, splats): path, which stream will replace, tells the ending and is named in
+# errors. Optional: axes(path) (if not AS_TRAINED), IN_SPACE_ORDER (it packs neighbours), FINITE (it
+# has no other numbers), KEEPS_CHANNELS, KEEPS_ORIGIN (splats may lie far from 0), MODELS (that it
+# tells, if not EWA alone), require(path) (raises where a package is missing), DRAWN (how the format
+# has its splats drawn, if otherwise).
 FORMATS: tuple[ModuleType, ...] = (
     compressed_ply,
     ply,

@@ -34,6 +34,7 @@ from rosplat_core.models import Model
 from rosplat_core.splats import InputError, Splats
 
 NAME = "compressed PLY"
+READS = ".compressed.ply"
 SUFFIXES = (".compressed.ply",)
 MODELS = tuple(Model)
 IN_SPACE_ORDER = True

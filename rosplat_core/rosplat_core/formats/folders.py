@@ -29,6 +29,7 @@ from rosplat_core.formats.decoded import (
 from rosplat_core.splats import InputError, concatenate
 
 NAME = "a folder of tiles"
+READS = "a folder of tiles, a trainer's folder"
 
 READERS = (compressed_ply, ply, spz, sog, splat)
 ENDINGS = (".ply", ".splat", ".spz", ".sog")

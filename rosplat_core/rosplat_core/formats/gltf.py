@@ -54,6 +54,7 @@ from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients, splat_bytes
 
 NAME = "glTF"
+READS = ".glb, .gltf"
 SUFFIXES = (".glb",)
 MODELS = tuple(Model)
 FINITE = True

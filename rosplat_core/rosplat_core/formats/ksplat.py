@@ -30,6 +30,7 @@ from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.splats import MAX_SH_DEGREE, InputError, sh_coefficients
 
 NAME = ".ksplat"
+READS = ".ksplat"
 SUFFIX = NAME
 
 VERSION = (0, 1)

@@ -44,6 +44,7 @@ from rosplat_core.models import Model
 from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients
 
 NAME = "PLY"
+READS = ".ply"
 SUFFIXES = (".ply",)
 MODELS = tuple(Model)
 KEEPS_CHANNELS = True

@@ -40,6 +40,7 @@ from rosplat_core.models import Model
 from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients
 
 NAME = "SOG"
+READS = ".sog, a SOG folder"
 SUFFIXES = (".sog",)
 MODELS = tuple(Model)
 IN_SPACE_ORDER = True

@@ -25,6 +25,7 @@ from rosplat_core.harmonics import C0 as SH_C0
 from rosplat_core.splats import InputError, Splats
 
 NAME = ".splat"
+READS = ".splat"
 SUFFIXES = (".splat",)
 
 RECORD = np.dtype(

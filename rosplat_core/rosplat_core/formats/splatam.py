@@ -20,6 +20,7 @@ from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError
 
 NAME = "SplaTAM params.npz"
+READS = ".npz"
 
 SHAPES = {
     "means3D": (3,),

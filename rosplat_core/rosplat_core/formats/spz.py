@@ -37,6 +37,7 @@ from rosplat_core.models import Model
 from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients
 
 NAME = "SPZ"
+READS = ".spz"
 SUFFIXES = (".spz",)
 MODELS = (Model.EWA, Model.EWA_ANTIALIASED)
 IN_SPACE_ORDER = True  # packs better

@@ -31,6 +31,7 @@ from rosplat_core.slot_pages import MAX_SLOTS
 from rosplat_core.splats import InputError, Splats, concatenate, sh_coefficients
 
 NAME = "streamed SOG"
+READS = "lod-meta.json"
 
 META = "lod-meta.json"
 LARGEST_META = 1 << 25  # [bytes]

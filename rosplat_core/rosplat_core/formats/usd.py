@@ -58,6 +58,7 @@ from rosplat_core.models import Model
 from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients, splat_bytes
 
 NAME = "OpenUSD"
+READS = ".usd, .usda, .usdc, .usdz"
 SUFFIXES = (".usdc", ".usda", ".usdz", ".usd")
 MODELS = tuple(Model)
 FINITE = True
