@@ -46,5 +46,7 @@ if [ -n "$wheels_of" ]; then
 fi
 if [ -z "$moved_from" ] && [ -f "$ros_folder/install/local_setup.bash" ]; then
   source_unset_ok "$ros_folder/install/local_setup.bash"
+elif [ -z "$moved_from${setting_up:-}" ]; then
+  echo "Nothing is built here for ROSPLAT_ROS=$ROSPLAT_ROS, or not all of it: ./setup.sh does that." >&2
 fi
 if [ -n "$wheels_of" ] && ! command -v ros2 >/dev/null; then PATH=$PATH:$root/rosplat_ros/scripts; fi

@@ -165,6 +165,13 @@ def test_a_checkout_that_has_moved_is_built_anew(checkout: Checkout) -> None:
     assert done.returncode == 0, done.stderr
     assert "building anew" in done.stdout
     assert not (moved / ".ros/wheels/venv/old").exists()
+    assert "anew" not in checkout.bash(". ./env.sh", "wheels").stderr
+
+
+def test_env_says_what_is_not_built(checkout: Checkout) -> None:
+    assert "ROSPLAT_ROS=wheels" in checkout.bash(". ./env.sh", "wheels").stderr
+    (checkout.folder / ".ros/wheels/install").mkdir(parents=True)
+    (checkout.folder / ".ros/wheels/install/local_setup.bash").touch()
     assert not checkout.bash(". ./env.sh", "wheels").stderr
 
 
