@@ -300,8 +300,7 @@ class BoundedMap:
     def _holes(self, blocks: Slots) -> Slots:
         """The free slots of receivers' blocks, block by block."""
         block, at = np.nonzero(self._owner.reshape(-1, SLOTS_PER_PAGE)[blocks] == NONE)
-        holes: Slots = blocks[block] * SLOTS_PER_PAGE + at
-        return holes
+        return blocks[block] * SLOTS_PER_PAGE + at
 
     def _close_up(self, when: When) -> None:
         """Empties the emptiest blocks of groups whose blocks are less than half full.

@@ -415,7 +415,7 @@ def _sparse(rows: tuple[NDArray[Any], ...], shape: tuple[int, int]) -> csr_matri
 def _cubic(t: NDArray[np.float32]) -> NDArray[np.float32]:
     """Weights (..., 4) of pixels -1, 0, 1, 2 at places t, 0 to 1 (Keys 1981, a = -1/2)."""
     t2, t3 = t * t, t * t * t
-    shares: NDArray[np.float32] = np.stack(
+    return np.stack(
         [
             -0.5 * t3 + t2 - 0.5 * t,
             1.5 * t3 - 2.5 * t2 + 1,
@@ -424,4 +424,3 @@ def _cubic(t: NDArray[np.float32]) -> NDArray[np.float32]:
         ],
         axis=-1,
     )
-    return shares

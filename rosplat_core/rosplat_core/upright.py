@@ -68,8 +68,7 @@ def find_up(splats: Splats, cameras: Sequence[Camera] = ()) -> NDArray[np.float6
     random = np.random.default_rng(0)
     points, normals, flatness = _voters(splats, random)
     if len(points) < 3:
-        best: NDArray[np.float64] = customs[0, :3]
-        return best
+        return customs[0, :3]
     tried = np.concatenate(
         [
             normals[random.choice(len(points), TRIED, p=flatness / flatness.sum())],

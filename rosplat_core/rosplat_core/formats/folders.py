@@ -66,8 +66,7 @@ def axes(path: Path) -> Axes:
     """Where the axes of the first tile point."""
     first = _tiles(path)[0]
     reader = _reader(first)
-    found: Axes = reader.axes(first) if hasattr(reader, "axes") else AS_TRAINED
-    return found
+    return reader.axes(first) if hasattr(reader, "axes") else AS_TRAINED
 
 
 def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:

@@ -396,5 +396,4 @@ def _fill(rows: NDArray[np.void], names: list[str], values: Floats) -> None:
 def _logit(p: Floats) -> Floats:
     """log(p / (1 - p)), finite for the 0 and 1 that quantised formats hold."""
     inside = np.clip(p.astype(np.float64), 1e-8, 1 - 1e-8)
-    logit: Floats = np.log(inside) - np.log1p(-inside)
-    return logit
+    return np.log(inside) - np.log1p(-inside)

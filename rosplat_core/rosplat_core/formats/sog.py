@@ -496,8 +496,7 @@ def _palette_width(degree: int) -> int:
 
 def _reason(error: Exception) -> str:
     """Why a file can't be read; an OSError's own text would name it once more."""
-    reason: str = shown(getattr(error, "strerror", None) or error)
-    return reason
+    return shown(getattr(error, "strerror", None) or error)
 
 
 def _quaternions(rgba: NDArray[np.uint8]) -> NDArray[np.float32]:

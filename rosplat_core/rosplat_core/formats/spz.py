@@ -365,8 +365,7 @@ def _packed_rotations(quaternions: Floats) -> NDArray[np.uint8]:
     packed = largest.astype("<u4") << 30
     for i, shift in enumerate((20, 10, 0)):
         packed |= fields[:, i] << shift
-    as_bytes: NDArray[np.uint8] = packed.view(np.uint8).reshape(-1, 4)
-    return as_bytes
+    return packed.view(np.uint8).reshape(-1, 4)
 
 
 def _packed_sh(bands: Floats) -> NDArray[np.uint8]:

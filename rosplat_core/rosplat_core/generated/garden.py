@@ -270,8 +270,7 @@ class Garden:
         frequency = np.fft.fftfreq(256)
         blur = np.exp(-2 * (np.pi * 1.6 * frequency) ** 2)
         blurred = np.fft.ifft2(np.fft.fft2(np.minimum(hits, 2)) * np.outer(blur, blur)).real
-        shadow: Array = np.clip(blurred, 0, 1)
-        return shadow
+        return np.clip(blurred, 0, 1)
 
     def _shadow_at(self, points: Array) -> Array:
         """(n,) shadow at points (n, 3), bilinear, of the ground behind each, seen from the sun."""

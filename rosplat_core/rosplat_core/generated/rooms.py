@@ -62,8 +62,7 @@ def _wood(points: Array, noise: Noise) -> Array:
 
 def _wallpaper(points: Array, noise: Noise) -> Array:
     stripes = np.sign(np.sin(2 * np.pi * (points[:, 0] + points[:, 1]) / 0.25))
-    shade: Array = 0.035 * stripes * (points[:, 2] > 0.9) - 0.18 * (points[:, 2] < 0.09)
-    return shade
+    return 0.035 * stripes * (points[:, 2] > 0.9) - 0.18 * (points[:, 2] < 0.09)
 
 
 def _checks(points: Array, noise: Noise) -> Array:

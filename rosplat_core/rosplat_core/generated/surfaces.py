@@ -82,10 +82,9 @@ def legendre_coefficients(function: Callable[[Array], Array]) -> Array:
     x, weights = legendre.leggauss(64)
     taper = np.array([1, 0.95, 0.8, 0.55])
     polynomials = legendre.legvander(x, 3)
-    coefficients: Array = (
+    return (
         taper * (2 * np.arange(4) + 1) / 2 * (polynomials.T @ (weights * function(x)))
     )
-    return coefficients
 
 
 def highlight(normals: Array, light: Array, color: Array, sharpness: float) -> Array:

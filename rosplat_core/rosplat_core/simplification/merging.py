@@ -68,8 +68,7 @@ class Contributions:
 
     def contrast(self) -> Array:
         """(n,) mean square by which a splat differs from what is behind it."""
-        contrast: Array = self.error / np.maximum(self.energy, LEAST * LEAST)
-        return contrast
+        return self.error / np.maximum(self.energy, LEAST * LEAST)
 
 
 class Pairs:
@@ -366,18 +365,16 @@ def _covariances(splats: Splats) -> Array:
     """(n, 6) covariances. [m^2]"""
     axes = to_matrices(splats.orientations) * splats.scales[:, None, :]
     rows = np.ascontiguousarray(axes.transpose(1, 2, 0))
-    covariances: Array = np.stack(
+    return np.stack(
         [(rows[i] * rows[j]).sum(axis=0) for i, j in zip(_ROWS, _COLUMNS, strict=True)], axis=1
     )
-    return covariances
 
 
 def _mixed(one: Array, other: Array, apart: Array, share: Array) -> Array:
     """(n, 6) covariances of mixtures of two; share: the weight (n,) of `other`, 0 to 1."""
     part = share[:, None]
     outer = apart[:, _ROWS] * apart[:, _COLUMNS]
-    mixed: Array = one + part * (other - one) + part * (1 - part) * outer
-    return mixed
+    return one + part * (other - one) + part * (1 - part) * outer
 
 
 def _blurred(covariances: Array, pixel: float) -> Array:

@@ -110,8 +110,7 @@ class InTurn:
         self._arrays.reverse()
         if len(self._arrays[0]) < count:
             self._arrays[0] = self._make(count + count // 4)
-        result: NDArray[np.uint32] = self._arrays[0][:count]
-        return result
+        return self._arrays[0][:count]
 
 
 def _pinned(name: str) -> Allocate:
@@ -126,8 +125,7 @@ def _pinned(name: str) -> Allocate:
         import torch
 
         on_host = torch.empty(count, dtype=torch.int32, pin_memory=True)
-        array: NDArray[np.uint32] = on_host.numpy().view(np.uint32)
-        return array
+        return on_host.numpy().view(np.uint32)
 
     return make
 

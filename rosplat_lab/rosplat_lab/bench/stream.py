@@ -259,5 +259,4 @@ def _truth(scene: Streamed, camera: Camera) -> Array:
     renderer = CpuRenderer()
     rendering.insert_all(renderer, concatenate([pieces.read(part) for part in parts]))
     colour = renderer.draw(posed(camera))["colour"][..., :3]
-    truth: Array = np.clip(colour.astype(np.float64), 0, 1)
-    return truth
+    return np.clip(colour.astype(np.float64), 0, 1)

@@ -34,8 +34,7 @@ class Sorter:
 
     def order(self, camera: Camera) -> Order:
         """The exact order."""
-        order: Order = self._backend.order(view_of(camera, self._splats)).copy()
-        return order
+        return self._backend.order(view_of(camera, self._splats)).copy()
 
     def keyed(self, camera: Camera, keys: Keys) -> Order:
         """The visible slots by other keys; of equal keys the higher slot is drawn first."""
@@ -64,5 +63,4 @@ def linear(bits: int) -> Keys:
 def by_distance(view: SortView, positions: NDArray[np.float32]) -> NDArray[np.uint32]:
     """Distance from the camera, which turning it doesn't change, instead of z."""
     x, y, z = (depth.transform(view, positions, axis) for axis in range(3))
-    keys: NDArray[np.uint32] = depth.sort_keys(np.sqrt(x * x + y * y + z * z))
-    return keys
+    return depth.sort_keys(np.sqrt(x * x + y * y + z * z))

@@ -63,5 +63,4 @@ class Conics(NamedTuple):
         """(n, 2) middles of discs' spots from the projected mean. [px]"""
         left = 1 - self.ahead
         near = np.abs(left) > 1e-3
-        spots: Array = np.where(near[:, None], -self.g / np.where(near, left, 1)[:, None], 0)
-        return spots
+        return np.where(near[:, None], -self.g / np.where(near, left, 1)[:, None], 0)

@@ -145,8 +145,7 @@ def surface_points(rooms: Rooms, count: int, seed: int) -> Array:
     size = high - low
     areas = np.sort(size, axis=1)[:, 1:].prod(axis=1)  # one edge is zero
     face = rng.choice(len(areas), count, p=areas / areas.sum())
-    points: Array = low[face] + rng.uniform(size=(count, 3)) * size[face]
-    return points
+    return low[face] + rng.uniform(size=(count, 3)) * size[face]
 
 
 def met(points: Array, keys: NDArray[np.int64], resolution: float, tolerance: float) -> Array:
