@@ -168,3 +168,10 @@ def test_an_element_of_no_harmonics_as_gsplat_writes_it(
     head, end, rows = (tmp_path / "a.compressed.ply").read_bytes().partition(b"end_header\n")
     (tmp_path / "b.compressed.ply").write_bytes(head + b"element sh 3\n" + end + rows)
     assert len(load(tmp_path / "b.compressed.ply")) == 3
+
+
+def test_an_element_sh_of_something_else_is_no_harmonics(tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    random_file(path, 300, 3)
+    path.write_bytes(path.read_bytes().replace(b"f_rest_", b"others_"))
+    assert load(path).sh_degree == 0

@@ -79,14 +79,14 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     position_range, scale_range = (_range(path, chunks, names) for names in RANGES[:2])
     colored = RANGES[2][0] in (chunks.dtype.names or ())
     color_range = _range(path, chunks, RANGES[2]) if colored else None
-    rest, bands = None, 0
+    names: list[str] = []
     if "sh" in file.elements and file.elements["sh"].dtype.names:  # gsplat's has none at degree 0
         rest = file.rows("sh")
         names = rest_names(path, rest, warn)
-        bands = len(names) // 3
         if len(rest) != n or any(rest.dtype[name] != np.dtype("u1") for name in names):
             raise InputError(f"{path}: element sh: expected bytes, for {n:,} splats")
 
+    bands = len(names) // 3
     for part, columns in into.blocks(n, 1 + bands, progress):
         positions, orientations, scales, opacities, sh = columns
         block = rows[part]
@@ -100,7 +100,7 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
         rgb = rgba[:, :3] if color_range is None else _between(rgba[:, :3], color_range, chunk)
         sh[:, 0] = (rgb - 0.5) / SH_C0
         opacities[:] = rgba[:, 3]
-        if rest is not None:
+        if bands:
             block = rest[part]
             by_channel = _COEFFICIENTS[np.stack([block[name] for name in names], axis=1)]
             sh[:, 1:] = by_channel.reshape(-1, 3, bands).transpose(0, 2, 1)
