@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.cameras import Camera
-from rosplat_core.lens_warps import Warp
+from rosplat_core.lens_warps import Sheets, Warp
 from rosplat_core.lenses import Lens
 from rosplat_core.models import Model
 from rosplat_core.rendering import CpuRenderer, DrawMode, SplatCamera, posed
@@ -24,7 +24,6 @@ BAND = 16  # rows: the rasteriser's tiles are as high [px]
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
-View = tuple[Array, float, float]  # world to lens (4, 4), near, far [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,14 +60,28 @@ def take_picture(
     """
     if depth not in ("", *DEPTHS):
         raise ValueError(f"depth is '{depth}', expected one of {', '.join(DEPTHS)}")
-    wanted = {"median_depth": depth == MEDIAN, "mean_depth": depth == EXPECTED}
-    by_samples = warp.samples and renderer.model in (Model.RAY, Model.DISC)
-    take = _by_rays if by_samples else _warped
-    channels = 4 if alpha else 3
-    picture = take(renderer, warp, (world_to_lens, near, far), wanted, normals, channels)
-    if picture.normals is None:
-        return picture
-    return replace(picture, normals=picture.normals @ world_to_lens[:3, :3].T.astype("f4"))
+    view = world_to_lens, near, far
+    way: Warp | Sheets = warp
+    parts: list[tuple[SplatCamera, dict[str, Any]]]
+    if warp.samples and renderer.model in (Model.RAY, Model.DISC):  # each pixel along its own ray
+        pinholes = zip(warp.cameras(*view), warp.samples, strict=True)
+        parts = [(posed(camera), {"samples": samples}) for camera, samples in pinholes]
+    else:
+        way = warp.sheets(renderer.model)
+        parts = [(_of_whole(camera, warp), {"lens": curve}) for camera, curve in way.cameras(*view)]
+
+    def draw(**wanted: bool) -> list[dict[str, Any]]:
+        return [renderer.draw(camera, **how, **wanted) for camera, how in parts]
+
+    drawn = draw(median_depth=depth == MEDIAN, mean_depth=depth == EXPECTED)
+    colour = way.colour([each["colour"][..., : 4 if alpha else 3] for each in drawn])
+    depths = way.depth([_depth(each) for each in drawn]) if depth else None
+    facing = None
+    if normals:
+        pictures = _in_mode(renderer, DrawMode.NORMALS, draw)
+        facing = way.nearest([_normals(each["colour"]) for each in pictures])
+        facing = facing @ world_to_lens[:3, :3].T.astype("f4")
+    return LensPicture(colour, depths, facing)
 
 
 class Shutter:
@@ -122,67 +135,11 @@ class Shutter:
         return LensPicture(dark, unmet[..., 0] if depth else None, unmet if normals else None)
 
 
-def _warped(
-    renderer: CpuRenderer,
-    warp: Warp,
-    view: View,
-    wanted: dict[str, bool],
-    normals: bool,
-    channels: int,
-) -> LensPicture:
-    """As take_picture, from pictures of other cameras; normals in the map's frame."""
-    sheets = warp.sheets(renderer.model)
-
-    def draw(**wanted: bool) -> list[dict[str, Any]]:
-        return [
-            renderer.draw(_of_whole(camera, warp), lens=curve, **wanted)
-            for camera, curve in sheets.cameras(*view)
-        ]
-
-    drawn = draw(**wanted)
-    colour = sheets.colour([each["colour"][..., :channels] for each in drawn])
-    depth = sheets.depth([_depth(each) for each in drawn]) if any(wanted.values()) else None
-    facing = None
-    if normals:
-        pictures = _in_mode(renderer, DrawMode.NORMALS, draw)
-        facing = sheets.nearest([_normals(each["colour"]) for each in pictures])
-    return LensPicture(colour, depth, facing)
-
-
 def _of_whole(camera: Camera, warp: Warp) -> SplatCamera:
     """A camera whose ellipses are those of the whole picture, by whose height they are clamped."""
     above, below = warp.beyond
     whole = replace(camera, height=above + camera.height + below, cy=camera.cy + above)
     return posed(whole).crop(0, above, camera.width, camera.height)
-
-
-def _by_rays(
-    renderer: CpuRenderer,
-    warp: Warp,
-    view: View,
-    wanted: dict[str, bool],
-    normals: bool,
-    channels: int,
-) -> LensPicture:
-    """As _warped, but each pixel along its own ray."""
-
-    def draw(**wanted: bool) -> list[dict[str, Any]]:
-        return [
-            renderer.draw(posed(camera), samples=samples, **wanted)
-            for camera, samples in zip(warp.cameras(*view), warp.samples, strict=True)
-        ]
-
-    drawn = draw(**wanted)
-    colour = warp.placed([each["colour"][:, :channels] for each in drawn])
-    depth = None
-    if any(wanted.values()):
-        depths = warp.ahead([_depth(each) for each in drawn])
-        depth = warp.placed([each[:, None] for each in depths], np.nan)[..., 0]
-    facing = None
-    if normals:
-        pictures = _in_mode(renderer, DrawMode.NORMALS, draw)
-        facing = warp.placed([_normals(each["colour"]) for each in pictures], np.nan)
-    return LensPicture(colour, depth, facing)
 
 
 def _in_mode(renderer: CpuRenderer, mode: DrawMode, draw: Callable[[], Any]) -> Any:

@@ -207,8 +207,8 @@ class Warp:
     """How pictures of a lens are drawn.
 
     Along rays, each pixel has its place in the picture of a pinhole camera at the lens's place, or
-    of the six faces of a cube around that (samples, placed, ahead). Ellipses (sheets): a lens
-    without distortion needs one picture and no warp, a fisheye one by its own curve. For others, a
+    of the six faces of a cube around that (cameras, samples). Ellipses (sheets): a lens without
+    distortion needs one picture and no warp, a fisheye one by its own curve. For others, a
     wider pinhole picture is warped that ends 50 degrees off the axis; beyond, a stereographic one,
     which leaves shapes as they are, or two, ahead and behind.
     """
@@ -265,18 +265,24 @@ class Warp:
         parts = self._faces if model in (Model.RAY, Model.DISC) else self._sheets
         return Sheets(self.met.shape, parts)
 
-    def placed(
-        self, values: Sequence[NDArray[np.float32]], missing: float = 0.0
-    ) -> NDArray[np.float32]:
-        """(height, width, c) from values of samples (n, c) for each camera."""
+    def colour(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """(height, width, c) from values of samples (n, c) for each camera; 0 without a ray."""
+        return self._placed(values, 0.0)
+
+    def depth(self, depths: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """(height, width) along the lens's axis [m] from depths of samples (n,) for each camera."""
+        ahead = [part.along * depth for part, depth in zip(self._faces, depths, strict=True)]
+        return self._placed([each[:, None] for each in ahead], np.nan)[..., 0]
+
+    def nearest(self, values: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """As colour(), with NaN without a ray."""
+        return self._placed(values, np.nan)
+
+    def _placed(self, values: Sequence[NDArray[np.float32]], missing: float) -> NDArray[np.float32]:
         placed = np.full((self.lens.height * self.lens.width, values[0].shape[1]), missing, "f4")
         for part, of_part in zip(self._faces, values, strict=True):
             placed[part.pixels] = of_part
         return placed.reshape(self.lens.height, self.lens.width, -1)
-
-    def ahead(self, depths: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
-        """Depths along the lens's axis from those of samples (n,) for each camera. [m]"""
-        return [part.along * depth for part, depth in zip(self._faces, depths, strict=True)]
 
     def _cube(self, rays: Array, pixels: NDArray[np.intp]) -> list[_Part]:
         """One pinhole picture, or the faces of a cube. Appends to samples."""
@@ -292,7 +298,7 @@ class Warp:
             if not seen.any():
                 continue
             turned = rays[seen] @ face.T
-            places, camera = self._framed(turned[:, :2] / turned[:, 2:], face)
+            places, camera = _framed(self.lens, turned[:, :2] / turned[:, 2:], face)
             axis = None if self._behind else tuple(face[:, 2].tolist())
             order, samples = Samples.of(places + 0.5, camera.width, camera.height, axis)
             self.samples.append(samples)
@@ -312,7 +318,7 @@ class Warp:
             turn = np.array(face, np.float64)
             turned = rays[seen] @ turn.T
             half = 2 / (1 + turned[:, 2:])  # 2 tan(a / 2) of an angle a, over its sine
-            places, camera = self._framed(turned[:, :2] * half, turn)
+            places, camera = _framed(self.lens, turned[:, :2] * half, turn)
             widest = math.acos(min(float(turned[:, 2].min()), 1.0))
             curve = Curve.of(
                 lambda angles: 2 * np.tan(angles / 2), ROUNDED, widest, by_distance=self._behind
@@ -320,18 +326,24 @@ class Warp:
             parts.append(_Part(camera, curve, pixels[seen], places, along))
         return parts
 
-    def _framed(self, points: Array, rotation: Array) -> tuple[Array, Camera]:
-        """Places (n, 2) [px] of points (n, 2) in focal lengths, and the camera of their picture."""
-        places = points * (self.lens.fx, self.lens.fy)
-        low = np.floor(places.min(axis=0)).astype(int) - MARGIN
-        width, height = (np.ceil(places.max(axis=0)).astype(int) + MARGIN - low + 1).tolist()
-        if max(width, height) > LONGEST_SIDE:
-            raise LensError(f"d: the lens needs a picture of {width} x {height} pixels")
-        pose = np.eye(4)
-        pose[:3, :3] = rotation
-        left, top = (0.5 - low).tolist()
-        camera = Camera(0, width, height, self.lens.fx, self.lens.fy, left, top, pose)
-        return places - low, camera
+
+def _framed(
+    lens: Lens, points: Array, rotation: Array, margin: int = MARGIN
+) -> tuple[Array, Camera]:
+    """Where points (n, 2) [focal lengths] are in their picture (n, 2) [px], and its camera.
+
+    Without a margin, the first pixels' centres are the least x and the least y of all points.
+    """
+    places = points * (lens.fx, lens.fy)
+    low = places.min(axis=0)
+    low = np.floor(low).astype(int) - margin if margin else low
+    width, height = (np.ceil(places.max(axis=0) - low).astype(int) + margin + 1).tolist()
+    if max(width, height) > LONGEST_SIDE:
+        raise LensError(f"d: the lens needs a picture of {width} x {height} pixels")
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    left, top = (0.5 - low).tolist()
+    return places - low, Camera(0, width, height, lens.fx, lens.fy, left, top, pose)
 
 
 def _placed(camera: Camera, world_to_lens: Array, near: float, far: float) -> Camera:
@@ -362,15 +374,10 @@ class Straightened:
         points = points[np.abs(points).max(axis=1) <= WIDEST]
         if not len(points):
             raise LensError("d: no ray arrives from ahead")
-        low = points.min(axis=0) * (lens.fx, lens.fy)
-        size = np.ceil(points.max(axis=0) * (lens.fx, lens.fy) - low).astype(int) + 1
-        width, height = size.tolist()
-        if max(width, height) > LONGEST_SIDE:
-            raise LensError(f"d: the lens needs a picture of {width} x {height} pixels")
-        left, top = (0.5 - low).tolist()
-        self.camera = Camera(0, width, height, lens.fx, lens.fy, left, top, np.eye(4))
-        columns, rows = np.meshgrid(np.arange(width), np.arange(height))
-        x, y = (columns + low[0]) / lens.fx, (rows + low[1]) / lens.fy
+        _, camera = _framed(lens, points, np.eye(3), margin=0)
+        self.camera = camera
+        columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+        x, y = (columns + 0.5 - camera.cx) / lens.fx, (rows + 0.5 - camera.cy) / lens.fy
         self._places = np.moveaxis(lens.project(np.stack([x, y, np.ones_like(x)], -1)), 2, 0)[::-1]
 
     def picture(
