@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rosplat_core import foreign_cameras
+from rosplat_core.formats.bounds import naming_the_file
 from rosplat_core.formats.strangers import impostor
 from rosplat_core.log_text import shown
 from rosplat_core.program.files import write_text
@@ -160,18 +161,17 @@ def load_cameras(
     camera and the field.
     """
     path, told = Path(path), list[str]()
-    try:
-        entries: Any = foreign_cameras.colmap(path, told.append)
-        if entries is None:
-            document = json.loads(path.read_text(encoding="utf-8-sig"))
-            entries = foreign_cameras.entries(document, path, told.append)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
-        what = impostor(path.read_bytes() if path.is_file() else b"") or f"not JSON: {error}"
-        raise InputError(f"{path}: {what}") from error
+    with naming_the_file(path):
+        try:
+            entries: Any = foreign_cameras.colmap(path, told.append)
+            if entries is None:
+                document = json.loads(path.read_text(encoding="utf-8-sig"))
+                entries = foreign_cameras.entries(document, path, told.append)
+        except (ValueError, RecursionError) as error:
+            if isinstance(error, InputError):
+                raise
+            what = impostor(path.read_bytes() if path.is_file() else b"") or f"not JSON: {error}"
+            raise InputError(f"{path}: {what}") from error
     for text in dict.fromkeys(told):
         warn(text)
     if not isinstance(entries, list):
@@ -226,12 +226,8 @@ def save_cameras(path: str | Path, cameras: Sequence[Camera]) -> None:
     entries = [
         asdict(camera) | {"world_to_camera": camera.world_to_camera.tolist()} for camera in cameras
     ]
-    try:
+    with naming_the_file(Path(path)):
         write_text(Path(path), json.dumps(entries, indent=1) + "\n")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except ValueError as error:  # no name of a file
-        raise InputError(f"{path}: {error}") from error
 
 
 def load_trajectory(path: str | Path, camera: Camera) -> list[Camera]:
@@ -240,12 +236,11 @@ def load_trajectory(path: str | Path, camera: Camera) -> list[Camera]:
     A line is time x y z qx qy qz qw [s, m], the optical frame's pose in the world. Raises
     InputError naming the file and the line.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: is no text") from error
+    with naming_the_file(Path(path)):
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except ValueError as error:
+            raise InputError(f"{path}: is no text") from error
     cameras: list[Camera] = []
     for number, line in enumerate(text.splitlines(), 1):
         values = line.partition("#")[0].split()

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rosplat_core.formats.bounds import naming_the_file
 from rosplat_core.occupancy import LIGHT, RESOLUTION, OccupancyMap, depth_of, hollows, occupied_by
 from rosplat_core.program.files import replacing
 from rosplat_core.rigid import rigid
@@ -143,17 +144,18 @@ class DistanceField:
 
     def save(self, path: str | Path) -> None:
         """Writes a NumPy file (.npz) of the attributes by their names. Raises InputError."""
-        try:
-            with replacing(Path(path)) as part, part.open("wb") as file:
-                np.savez_compressed(
-                    file,
-                    distances=self.distances,
-                    origin=self.origin,
-                    resolution=np.float64(self.resolution),
-                    map_pose=self.map_pose,
-                )
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror or error}") from error
+        with (
+            naming_the_file(Path(path)),
+            replacing(Path(path)) as part,
+            part.open("wb") as file,
+        ):
+            np.savez_compressed(
+                file,
+                distances=self.distances,
+                origin=self.origin,
+                resolution=np.float64(self.resolution),
+                map_pose=self.map_pose,
+            )
 
 
 def _measured(

@@ -6,10 +6,8 @@ newest file.
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -30,7 +28,7 @@ from rosplat_core.formats import (
     streamed_sog,
     usd,
 )
-from rosplat_core.formats.bounds import size_of
+from rosplat_core.formats.bounds import naming_the_file, size_of
 from rosplat_core.formats.decoded import (
     AS_TRAINED,
     Axes,
@@ -101,7 +99,7 @@ HEAD = 1 << 16  # what a module may see of a file's beginning [bytes]
 def format_of(path: str | Path) -> ModuleType:
     """The module that reads a file or folder. Raises InputError when none does."""
     path = scene_file(path)
-    with _naming_the_file(path):
+    with naming_the_file(path):
         head = b""
         if not path.is_dir():
             size_of(path)  # refuses a pipe, on which open() would wait
@@ -123,7 +121,7 @@ def format_of(path: str | Path) -> ModuleType:
 def scene_file(path: str | Path) -> Path:
     """The newest file of a model's folder; any other path itself."""
     path = Path(path)
-    with _naming_the_file(path):
+    with naming_the_file(path):
         return folders.newest(path)[0]
 
 
@@ -131,7 +129,7 @@ def axes(path: str | Path) -> Axes:
     """Where the axes of a scene's coordinates point. Raises InputError as load does."""
     path = scene_file(path)
     module = format_of(path)
-    with _naming_the_file(path):
+    with naming_the_file(path):
         found: Axes = module.axes(path) if hasattr(module, "axes") else AS_TRAINED
     return found
 
@@ -160,13 +158,13 @@ def load_into(into: Into[Made], path: str | Path, progress: Progress, warn: Warn
     def said(text: str) -> None:
         warn(shown(text, LONGEST_ERROR))
 
-    with _naming_the_file(Path(path)):
+    with naming_the_file(Path(path)):
         file, candidates = folders.newest(Path(path))
     if file != Path(path):
         said(f"{path}: {file.relative_to(path)} is read, the newest of {candidates}")
     module = format_of(file)
     # A number that overflows is not finite in the end, and is dropped with its splat.
-    with _naming_the_file(file), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+    with naming_the_file(file), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         made: Made = module.read(file, progress, said, into)
     progress(1.0)
     return replace(made, up=axes(file).up)
@@ -188,7 +186,7 @@ def check_output(path: str | Path, overwrite: bool = False) -> None:
 def check_new_file(path: str | Path, overwrite: bool = False) -> None:
     """As check_output, for a file of any ending."""
     path = Path(path)
-    with _naming_the_file(path):
+    with naming_the_file(path):
         exists = path.exists()
     if not path.parent.is_dir():
         raise InputError(f"{path}: {path.parent} is no folder")
@@ -228,7 +226,7 @@ def save(path: str | Path, splats: Splats, *, overwrite: bool = False) -> Splats
         )  # fmt: skip
     if not getattr(writer, "KEEPS_ORIGIN", False):
         _warn_of_far_splats(path, writer, splats)
-    with _naming_the_file(path):
+    with naming_the_file(path):
         packs = getattr(writer, "IN_SPACE_ORDER", False)
         if packs or getattr(writer, "FINITE", False):
             _require_finite(path, splats)
@@ -271,16 +269,3 @@ def _writer(path: Path) -> ModuleType:
         if path.name.lower().endswith(suffix):
             return writers[suffix]
     raise InputError(f"{path}: can't write this ending, only {SUFFIXES}")
-
-
-@contextlib.contextmanager
-def _naming_the_file(path: Path) -> Iterator[None]:
-    """Turns errors of the system, or for want of memory, into a InputError that names the file."""
-    if "\0" in str(path):  # Python's own functions fail on it in many ways
-        raise InputError(f"{str(path)!r}: no name of a file")
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
-    except MemoryError as error:
-        raise InputError(f"{path}: too large for this machine's memory") from error

@@ -39,7 +39,7 @@ def claim(path: Path, count: int, unpacked: int, held: int) -> None:
 
 @contextmanager
 def refusing(what: str) -> Iterator[None]:
-    """Turns errors that a field of a wrong kind causes into a InputError: `what` begins it."""
+    """Turns errors that a field of a wrong kind causes into an InputError: `what` begins it."""
     try:
         with np.errstate(all="ignore"):  # what isn't finite is found later
             yield
@@ -50,6 +50,19 @@ def refusing(what: str) -> Iterator[None]:
     ) as error:  # fmt: skip
         kind = "it has no" if isinstance(error, KeyError) else f"{type(error).__name__}:"
         raise InputError(f"{what}: {shown(f'{kind} {error}')}") from error
+
+
+@contextmanager
+def naming_the_file(path: Path) -> Iterator[None]:
+    """Turns errors of the system, or for want of memory, into an InputError that names the file."""
+    if "\0" in str(path):  # Python's own functions fail on it in many ways
+        raise InputError(f"{str(path)!r}: no name of a file")
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    except MemoryError as error:
+        raise InputError(f"{path}: too large for this machine's memory") from error
 
 
 def unpackable(held: int) -> int:

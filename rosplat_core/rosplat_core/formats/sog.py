@@ -69,10 +69,10 @@ def read(path: Path, progress: Progress, warn: Warn, into: Into[Made]) -> Made:
     """Reads an unbundled (folder or its meta.json) or a bundled (zip) SOG scene."""
     if path.is_dir() or path.name == META:
         folder = path if path.is_dir() else path.parent
-        return _Reader(folder / META, _Folder(folder)).read(progress, warn, into)
+        return _Reader(folder / META, folder).read(progress, warn, into)
     try:
         with zipfile.ZipFile(path) as bundle:
-            return _Reader(path, _Zip(bundle)).read(progress, warn, into)
+            return _Reader(path, bundle).read(progress, warn, into)
     except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
         if isinstance(error, InputError):
             raise
@@ -98,18 +98,12 @@ class Claims(NamedTuple):
 
 def claims(path: Path) -> Claims:
     """What a scene's meta.json says of it; its pictures are not decoded. Raises InputError."""
-    try:
-        return _Reader(path, _Folder(path.parent)).claims()
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
+    return _Reader(path, path.parent).claims()
 
 
 def unpack(path: Path, progress: Progress) -> Packed:
     """Decodes the pictures beside a meta.json. Raises InputError, and MemoryError."""
-    try:
-        return _Reader(path, _Folder(path.parent)).unpack(progress)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
+    return _Reader(path, path.parent).unpack(progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,41 +231,10 @@ def write(stream: BinaryIO, path: Path, splats: Splats) -> None:
         bundle.writestr(META, json.dumps(meta))
 
 
-class _Folder:
-    """Files side by side."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def size(self, name: str) -> int:
-        return size_of(self._folder / name)
-
-    def read(self, name: str) -> bytes:
-        return (self._folder / name).read_bytes()
-
-
-class _Zip:
-    """Files in a zip, stored or deflated."""
-
-    def __init__(self, bundle: zipfile.ZipFile) -> None:
-        self._bundle = bundle
-
-    def size(self, name: str) -> int:
-        info = self._bundle.getinfo(name)
-        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise ValueError(f"compression method {info.compress_type}; only deflate can be read")
-        if info.file_size > unpackable(info.compress_size):
-            raise ValueError(f"{info.file_size:,} bytes, in {info.compress_size:,} packed ones")
-        return info.file_size
-
-    def read(self, name: str) -> bytes:
-        return self._bundle.read(name)
-
-
 class _Reader:
-    """Decodes one scene, given its files."""
+    """Decodes one scene, given the folder or the zip of its files."""
 
-    def __init__(self, path: Path, files: _Folder | _Zip) -> None:
+    def __init__(self, path: Path, files: Path | zipfile.ZipFile) -> None:
         self._path = path
         self._files = files
         if self._size(META) > LARGEST_META:
@@ -451,20 +414,39 @@ class _Reader:
         return name
 
     def _size(self, name: str) -> int:
+        """Of a file, once it is unpacked. [bytes]"""
         try:
-            return self._files.size(name)
+            if isinstance(self._files, Path):
+                return size_of(self._files / name)
+            info = self._files.getinfo(name)
         except (OSError, KeyError, ValueError) as error:
-            raise InputError(f"{self._path}: can't read {name!r}: {_reason(error)}") from error
+            raise self._unreadable(name, error) from error
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise self._unreadable(
+                name, f"compression method {info.compress_type}; only deflate can be read"
+            )
+        if info.file_size > unpackable(info.compress_size):
+            raise self._unreadable(
+                name, f"{info.file_size:,} bytes, in {info.compress_size:,} packed ones"
+            )
+        return info.file_size
 
     def _file(self, name: str) -> bytes:
         self._size(name)  # raises for too large a file, or none
         try:
+            if isinstance(self._files, Path):
+                return (self._files / name).read_bytes()
             return self._files.read(name)
         except (
             OSError, KeyError, EOFError, ValueError, RuntimeError, NotImplementedError,
             zipfile.BadZipFile, zlib.error,
         ) as error:  # fmt: skip
-            raise InputError(f"{self._path}: can't read {name!r}: {_reason(error)}") from error
+            raise self._unreadable(name, error) from error
+
+    def _unreadable(self, name: str, why: object) -> InputError:
+        """An OSError's own text would name the file once more."""
+        reason = shown(getattr(why, "strerror", None) or why)
+        return InputError(f"{self._path}: can't read {name!r}: {reason}")
 
     def _field(self, *names: str) -> Any:
         value: Any = self._meta
@@ -492,11 +474,6 @@ class _Reader:
 def _palette_width(degree: int) -> int:
     """Width of a palette's picture. [px]"""
     return PALETTE_PER_ROW * (sh_coefficients(degree) - 1)
-
-
-def _reason(error: Exception) -> str:
-    """Why a file can't be read; an OSError's own text would name it once more."""
-    return shown(getattr(error, "strerror", None) or error)
 
 
 def _quaternions(rgba: NDArray[np.uint8]) -> NDArray[np.float32]:

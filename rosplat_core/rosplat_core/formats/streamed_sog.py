@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core.formats import sog
-from rosplat_core.formats.bounds import refusing, size_of
+from rosplat_core.formats.bounds import naming_the_file, refusing, size_of
 from rosplat_core.formats.decoded import Into, IntoSplats, Made, Progress, Warn, one_model
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
@@ -115,13 +115,11 @@ def open_streamed(path: Path) -> Streamed:
     path = path / META if path.is_dir() else path
     if path.exists() and not recognises(path, b""):
         raise InputError(f"{path}: not a {META}, which a streamed SOG has")
-    try:
+    with naming_the_file(path):
         if size_of(path) > LARGEST_META:
             raise InputError(f"{path}: more than {LARGEST_META:,} bytes")
         with refusing(f"{path}: broken {META}"):
             return _scene(path, json.loads(path.read_bytes()))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
 
 
 def _scene(path: Path, meta: Any) -> Streamed:
@@ -229,20 +227,14 @@ class Pieces:
         Raises InputError that names the file that can't be read, and CancelledError after close().
         """
         which = slice(part.offset, part.offset + part.count)
-        try:
+        with naming_the_file(self._scene.files[part.file]):
             return self.packed(part.file).splats(which, self._warn, IntoSplats())
-        except MemoryError as error:
-            path = self._scene.files[part.file]
-            raise InputError(f"{path}: too large for this machine's memory") from error
 
     def packed(self, file: int) -> sog.Packed:
         """A file's splats, packed. Raises as read does."""
         path = self._scene.files[file]
-        try:
-            with self._decoding[file]:
-                return self._find(file) or self._remember(file, self._unpack(path))
-        except MemoryError as error:
-            raise InputError(f"{path}: too large for this machine's memory") from error
+        with naming_the_file(path), self._decoding[file]:
+            return self._find(file) or self._remember(file, self._unpack(path))
 
     def close(self) -> None:
         """Ends decoding, also in other threads, which get CancelledError."""
