@@ -42,7 +42,7 @@ from rosplat_core.payload import PACKED, decode
 from rosplat_core.quaternions import from_matrices, product
 from rosplat_core.rendering import CpuRenderer, posed
 from rosplat_core.splats import InputError, PackedSplats, Splats, check_splats, unit
-from rosplat_core.upright import NEARBY, find_up, photographed, shell
+from rosplat_core.upright import NEARBY, find_up, level, photographed, shell
 
 _log = logging.getLogger(__name__)
 
@@ -322,9 +322,7 @@ class _Stage:
         random = np.random.default_rng(0)
         self._origin = splats.origin
         self._up = up / np.linalg.norm(up)
-        side = np.cross(self._up, np.eye(3)[np.abs(self._up).argmin()])
-        side /= np.linalg.norm(side)
-        self._rotation = np.array([side, np.cross(self._up, side), self._up])
+        self._rotation = np.array([*level(self._up), self._up])
         rows, chances = _standing(splats, random)
         positions = splats.positions[rows].astype(np.float64) @ self._rotation.T
         scales = np.maximum(splats.scales[rows].astype(np.float64), 0)

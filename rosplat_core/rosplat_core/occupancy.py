@@ -14,16 +14,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rosplat_core._core import OccupancyMap
+from rosplat_core import _core
 from rosplat_core.program.files import replacing
 from rosplat_core.quaternions import from_matrices
 from rosplat_core.rendering import insert_all
 from rosplat_core.splats import InputError, Splats
 
-__all__ = [
-    "FREE", "LIGHT", "MOST_ACROSS", "OCCUPIED", "RESOLUTION", "UNKNOWN", "Grid", "OccupancyMap",
-    "depth_of", "grid_of", "hollows", "occupied_by", "save_grid", "towards", "voxels_across",
-]  # fmt: skip
+OccupancyMap = _core.OccupancyMap
 
 UNKNOWN, FREE, OCCUPIED = -1, 0, 100  # as nav_msgs/OccupancyGrid has them
 MOST_ACROSS = 4096  # voxels along an axis

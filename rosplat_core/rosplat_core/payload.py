@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import _core
+from rosplat_core.splats import Splats
 
 QUANTISED = "quantised"
 PACKED = "packed"
@@ -34,7 +35,7 @@ def size(count: int, sh_degree: int) -> int:
     return _core.payload_size(count, sh_degree)
 
 
-def suits(arrays: Arrays, usable: NDArray[np.bool_]) -> bool:
+def suits(arrays: Arrays | Splats, usable: NDArray[np.bool_]) -> bool:
     """Whether quantised splats still look the same: no stray one makes the steps of all too large.
 
     Steps of position may be 1/16 of the median splat's size, or 1/65,536 of where most splats lie.
@@ -42,7 +43,7 @@ def suits(arrays: Arrays, usable: NDArray[np.bool_]) -> bool:
     return _core.payload_suits(arrays, usable)
 
 
-def encode(arrays: Arrays, usable: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def encode(arrays: Arrays | Splats, usable: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """The quantised payload, uint8, of splats. usable: bool (n,), false for splats to leave out."""
     return _core.encode_payload(arrays, usable)
 

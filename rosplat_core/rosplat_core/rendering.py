@@ -186,38 +186,32 @@ def batches(splats: Splats) -> Iterator[slice]:
         yield slice(start, min(start + step, len(splats)))
 
 
-def insert(renderer: Any, splats: Splats, part: slice, revision: int) -> None:
-    """Writes a part of the splats to a renderer's slots of the same numbers; revision 1 begins."""
+def insert(
+    renderer: Any, splats: Splats, part: slice, revision: int, first: int = 0, **fields: Any
+) -> None:
+    """Writes a part of the splats to a renderer's slots of the same numbers, but for those before
+    the first; revision 1 begins. fields: others of a GaussianArray."""
     operation = REPLACE if revision == 1 else UPSERT
     renderer.apply(
         batch_of(
-            splats, part, operation=operation, first_slot=part.start, map_id=MAP,
-            revision=revision, expected_slots=len(splats),
+            splats, part, operation=operation, first_slot=first + part.start, map_id=MAP,
+            revision=revision, **({"expected_slots": len(splats)} | fields),
         )
     )  # fmt: skip
 
 
 def insert_all(renderer: Any, splats: Splats) -> int:
     """Gives a renderer a map, batch by batch; returns the last one's revision."""
-    revision = 0
-    for revision, part in enumerate(batches(splats), 1):
-        insert(renderer, splats, part, revision)
-    return revision
+    return insert_groups(renderer, [splats])
 
 
 def insert_groups(renderer: Any, parts: Sequence[Splats]) -> int:
-    """Gives a renderer several sets of splats, each as the group of its number; returns the last
-    batch's revision."""
-    revision, first = 0, 0
+    """As insert_all, with several sets of splats, each as the group of its number."""
+    revision, first, expected = 0, 0, sum(map(len, parts))
     for number, splats in enumerate(parts):
         for part in batches(splats):
             revision += 1
-            renderer.apply(
-                batch_of(
-                    splats, part, operation=REPLACE if revision == 1 else UPSERT, map_id=MAP,
-                    first_slot=first + part.start, group=number, revision=revision,
-                )
-            )  # fmt: skip
+            insert(renderer, splats, part, revision, first, group=number, expected_slots=expected)
         first += -(-len(splats) // SLOTS_PER_PAGE) * SLOTS_PER_PAGE  # a block is of one group
     return revision
 

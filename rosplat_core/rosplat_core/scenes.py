@@ -58,19 +58,16 @@ def read_scene(name: str, progress: Progress, warn: Warn) -> Splats:
 
 def _read(into: Into[Made], name: str, progress: Progress, warn: Warn) -> Made:
     if is_generated(name):
-        return _generated(into, name, progress)
+        count, seed = _numbers(name)
+        scene = GENERATED[name[: name.index(":") + 1]]
+        try:
+            return generate_into(into, count, seed, MAX_SH_DEGREE, progress, scene)
+        except MemoryError as error:
+            raise InputError(f"{name}: too large for this machine's memory") from error
     splats = formats.load_into(into, name, progress, warn)
-    _check(name, len(splats))
+    if len(splats) > MAX_SLOTS:
+        raise InputError(f"{name}: {len(splats):,} splats; a map has at most {MAX_SLOTS:,}")
     return splats
-
-
-def _generated(into: Into[Made], name: str, progress: Progress) -> Made:
-    count, seed = _numbers(name)
-    scene = GENERATED[name[: name.index(":") + 1]]
-    try:
-        return generate_into(into, count, seed, MAX_SH_DEGREE, progress, scene)
-    except MemoryError as error:
-        raise InputError(f"{name}: too large for this machine's memory") from error
 
 
 def _numbers(name: str) -> tuple[int, int]:
@@ -84,11 +81,6 @@ def _numbers(name: str) -> tuple[int, int]:
     if not 1 <= count <= MAX_SLOTS:
         raise InputError(f"{name}: expected 1 to {MAX_SLOTS:,} splats, as many as a map has")
     return count, seed
-
-
-def _check(name: str, count: int) -> None:
-    if count > MAX_SLOTS:
-        raise InputError(f"{name}: {count:,} splats; a map has at most {MAX_SLOTS:,}")
 
 
 def model_of(name: str, model: Model) -> str:

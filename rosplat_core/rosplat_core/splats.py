@@ -163,8 +163,9 @@ class Splats:
                     f"Splats.channels['{name}']: expected shape {(n,)}, got {values.shape}"
                 )
         object.__setattr__(self, "channels", channels)
-        for text in untransformed(self.scales, self.opacities):
-            if text not in _said:
+        told = "scales are negative: logarithms?", "opacities are not from 0 to 1: logits?"
+        for text, is_so in zip(told, as_trained(self.scales, self.opacities), strict=True):
+            if is_so and text not in _said:
                 _said.add(text)
                 _log.warning("Splats: %s; Splats.from_trained takes a trainer's parameters", text)
 
@@ -294,16 +295,21 @@ def check_splats(splats: object, name: str = "splats") -> None:
     check_kind(splats, Splats, name)
 
 
-def untransformed(scales: NDArray[np.floating[Any]], opacities: NDArray[Any]) -> list[str]:
-    """What values (n, 3) and (n,) look like if they are logarithms and logits; empty for others."""
+def as_trained(
+    scales: NDArray[np.floating[Any]], opacities: NDArray[np.floating[Any]]
+) -> tuple[bool, bool]:
+    """Whether scales (n, 3) and opacities (n, ...), which should be linear, are logarithms and
+    logits.
+
+    They are where most can be nothing else.
+    """
+
+    def are_most(which: NDArray[np.bool_]) -> bool:
+        return bool(2 * np.count_nonzero(which) > which.size)
+
     step = len(scales) // MOST_LOOKED_AT + 1
-    told = []
-    if len(scales) and (scales[::step] < 0).mean() > 0.5:
-        told.append("scales are negative: logarithms?")
     some = opacities[::step]
-    if len(some) and ((some < 0) | (some > 1)).mean() > 0.5:
-        told.append("opacities are not from 0 to 1: logits?")
-    return told
+    return are_most(scales[::step] < 0), are_most((some < 0) | (some > 1))
 
 
 def _numbers(values: ArrayLike) -> str:

@@ -206,7 +206,7 @@ def _thinnest(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArr
     best, step = _thinness(points @ normal), 0.06
     while step > FINEST:
         angles = np.arange(6)[:, None] * np.pi / 3
-        turned = normal + step * np.hstack([np.cos(angles), np.sin(angles)]) @ _level(normal)
+        turned = normal + step * np.hstack([np.cos(angles), np.sin(angles)]) @ level(normal)
         turned /= np.linalg.norm(turned, axis=1, keepdims=True)
         found = [_thinness(points @ direction) for direction in turned]
         if max(found) > best:
@@ -216,7 +216,7 @@ def _thinnest(points: NDArray[np.float64], normal: NDArray[np.float64]) -> NDArr
     return normal
 
 
-def _level(up: NDArray[np.float64]) -> NDArray[np.float64]:
+def level(up: NDArray[np.float64]) -> NDArray[np.float64]:
     """Two level directions (2, 3), at right angles."""
     aside = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     aside /= np.linalg.norm(aside)
@@ -229,7 +229,7 @@ def _stands(points: NDArray[np.float64], up: NDArray[np.float64]) -> float:
 
     heights = points @ up
     low, high = np.quantile(heights, [0.005, 0.98])
-    flat = points @ _level(up).T
+    flat = points @ level(up).T
     flat -= flat.mean(axis=0)
     foot = flat[heights < low + FOOT * (high - low)]
     try:
@@ -253,8 +253,8 @@ def _likelihood(
     one_sided = 0.1 + (above + 0.01) / (above + below + 0.02)
     custom = UNCUSTOMARY + max(0.0, *(customs[:, 3] * (customs[:, :3] @ up).clip(0, 1) ** 4))
     spread = np.cov(points.T)
-    level = _level(up)
-    narrow = float(np.linalg.eigvalsh(level @ spread @ level.T)[0])
+    across = level(up)
+    narrow = float(np.linalg.eigvalsh(across @ spread @ across.T)[0])
     flat = max(1.0, narrow / max(float(up @ spread @ up), LAYER**2 / 12))
     stands = max(min(1.0, FALLING * flat), _stands(points, up))  # what is flat doesn't fall over
     return float(np.sum(layers**2) * height * math.sqrt(flat) * one_sided * custom * stands)

@@ -99,18 +99,6 @@ def told_model(path: Path, name: object) -> Model:
     return Model.of(str(name))
 
 
-def as_trained(scales: Floats, opacities: Floats) -> tuple[bool, bool]:
-    """Whether scales and opacities of a scene, which should be linear, are logarithms and logits.
-
-    They are where most can be nothing else.
-    """
-
-    def are_most(which: NDArray[np.bool_]) -> bool:
-        return bool(2 * np.count_nonzero(which) > which.size)
-
-    return are_most(scales < 0), are_most((opacities < 0) | (opacities > 1))
-
-
 def told_as_trained(logarithms: bool, logits: bool) -> list[str]:
     """What to warn of, by as_trained."""
     told = {

@@ -37,7 +37,6 @@ from rosplat_core.formats.decoded import (
     Made,
     Progress,
     Warn,
-    as_trained,
     blocks,
     one_model,
     told_as_trained,
@@ -51,7 +50,14 @@ from rosplat_core.log_text import shown
 from rosplat_core.models import Model
 from rosplat_core.quaternions import to_matrices
 from rosplat_core.slot_pages import MAX_SLOTS
-from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients, splat_bytes
+from rosplat_core.splats import (
+    MAX_SH_DEGREE,
+    InputError,
+    Splats,
+    as_trained,
+    sh_coefficients,
+    splat_bytes,
+)
 
 NAME = "glTF"
 READS = ".glb, .gltf"

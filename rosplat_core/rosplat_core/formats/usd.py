@@ -45,7 +45,6 @@ from rosplat_core.formats.decoded import (
     Made,
     Progress,
     Warn,
-    as_trained,
     blocks,
     one_model,
     told_as_trained,
@@ -55,7 +54,14 @@ from rosplat_core.formats.placed import place
 from rosplat_core.formats.quantised import sigmoid
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
-from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients, splat_bytes
+from rosplat_core.splats import (
+    MAX_SH_DEGREE,
+    InputError,
+    Splats,
+    as_trained,
+    sh_coefficients,
+    splat_bytes,
+)
 
 NAME = "OpenUSD"
 READS = ".usd, .usda, .usdc, .usdz"

@@ -82,9 +82,7 @@ def legendre_coefficients(function: Callable[[Array], Array]) -> Array:
     x, weights = legendre.leggauss(64)
     taper = np.array([1, 0.95, 0.8, 0.55])
     polynomials = legendre.legvander(x, 3)
-    return (
-        taper * (2 * np.arange(4) + 1) / 2 * (polynomials.T @ (weights * function(x)))
-    )
+    return taper * (2 * np.arange(4) + 1) / 2 * (polynomials.T @ (weights * function(x)))
 
 
 def highlight(normals: Array, light: Array, color: Array, sharpness: float) -> Array:
