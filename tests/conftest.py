@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from drawing import Target
-from rosplat_lab.bench.embedded import NumberedView
+from rosplat_lab.bench.renderers import NumberedView
 from rviz_harness import MARKERS, Rviz, World, configuration, map_display
 
 pytest_plugins = ["core_fixtures", "ros_fixtures"]

@@ -16,7 +16,7 @@ from rosplat_core.cameras import Camera, look_at
 from rosplat_core.models import Model
 from rosplat_core.rendering import posed
 from rosplat_core.splats import Splats
-from rosplat_lab.bench.embedded import NumberedView
+from rosplat_lab.bench.renderers import NumberedView
 from rosplat_msgs.msg import GaussianArray
 from rosplat_ros.messages import Slots
 from rosplat_testing import messages

@@ -30,7 +30,7 @@ checked strict --config-file ../pyproject.toml ../rosplat_core/rosplat_core \
   $(below rosplat_sorter {backends,map.py,order_slots.py,shared_orders.py,worker.py}) \
   $(below rosplat_tools {cameras/{comparison,pose_history}.py,lidars/scanning.py,simplify,simulation/{body_pictures,physics,robot_model,solids,splat_camera}.py,emulation/{flight,mapping}.py,streaming/{detail,followed_view,slot_allocator,streamed_map}.py,convert.py,generate.py,inspect_scene.py}) \
   $(below rosplat_lab {lab,reference,driven_rviz.py,metrics.py} \
-    bench/{command.py,embedded.py,isolation.py,levels.py,mouse.py,plan.py,records.py,renderers.py,rviz.py,scenes.py,sort.py,truths.py}) ||
+    bench/{command.py,isolation.py,levels.py,mouse.py,plan.py,records.py,renderers.py,rviz.py,scenes.py,sort.py,truths.py}) ||
   failed=1
 wait $! || failed=1
 [ -z "${failed:-}" ]

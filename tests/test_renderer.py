@@ -611,7 +611,7 @@ def test_the_processor_needs_no_newer_opengl_than_rviz(display: str, version: st
     """The window's bytes are those of the newest OpenGL, with a box and with a veil amid splats."""
     program = """
 import hashlib, sys
-from rosplat_lab.bench import embedded, scenes
+from rosplat_lab.bench import renderers, scenes
 from rosplat_core import rendering
 from rosplat_core.rendering import Rasterizer
 from rviz_gaussian_plugin.offscreen import Renderer
@@ -620,7 +620,7 @@ if "Mesa" not in renderer.renderer_info:
     sys.exit("no Mesa")
 splats = scenes.load("procedural:2000")
 rendering.insert_all(renderer, splats)
-view = embedded.NumberedView(renderer)
+view = renderers.NumberedView(renderer)
 renderer.settings.rasterizer = Rasterizer.PROCESSOR if sys.argv[1] else Rasterizer.AUTO
 view.set_camera(scenes.overview(splats, 320, 180, 1)[0])
 for opacity in (1.0, 0.5):

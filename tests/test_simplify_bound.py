@@ -10,7 +10,7 @@ import numpy as np
 from rosplat_core.cameras import orbit
 from rosplat_core.formats import load, save
 from rosplat_core.rendering import CpuRenderer, psnr_of
-from rosplat_lab.bench.thin import fence
+from rosplat_lab.bench.scenes import fence
 from rosplat_tools.simplify.command import main
 
 

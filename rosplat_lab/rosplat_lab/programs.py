@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from rclpy.executors import Executor
     from rclpy.node import Node
 
+    from rosplat_core.cameras import Camera
+    from rosplat_msgs.srv import RenderView
+
 PATIENCE = 120.0  # with an answer [s]
 ASK_AGAIN = 10.0  # after which an answer may have got lost [s]
 
@@ -29,6 +32,7 @@ class Programs(Processes):
         super().__init__(log_folder)
         self.namespace = f"/{kind}_{uuid.uuid4().hex[:8]}"
         self.remap = ["--ros-args", "-r", f"__ns:={self.namespace}"]
+        self._renders: Client | None = None
 
     def __enter__(self) -> Programs:
         super().__enter__()
@@ -104,6 +108,20 @@ class Programs(Processes):
             again=once_more, every=ask_again,
         )  # fmt: skip
         return next(future.result() for future in futures if future.done())
+
+    def picture(
+        self, camera: Camera, complaint: str, order_timeout: float = 0.0, detail: str = ""
+    ) -> RenderView.Response:
+        """A renderer's answer for a camera; the rest as of RenderView and of call()."""
+        from rosplat_msgs.srv import RenderView
+        from rosplat_ros.view_cameras import view_camera
+
+        if self._renders is None:
+            self._renders = self.asker.create_client(RenderView, "gaussians/render")
+        request = RenderView.Request(
+            camera=view_camera(camera), order_timeout=order_timeout, detail=detail
+        )
+        return self.call(self._renders, request, complaint, order_timeout + ASK_AGAIN)
 
     def end(self) -> None:
         """Ends every program, then the asker."""

@@ -17,11 +17,11 @@ from rosplat_core.splats import Splats, concatenate
 from rosplat_core.view import SortView
 from rosplat_lab import reference
 from rosplat_lab.bench import truths
-from rosplat_lab.bench.records import Circumstances, Measurement, Record
+from rosplat_lab.bench.records import Measurement, Record
+from rosplat_lab.bench.scenes import placed, turned
 from rosplat_lab.bench.sort import view_of
 from rosplat_lab.lab import orders, pages, picture, viewers, ways
 from rosplat_lab.lab.command import kind_of
-from rosplat_lab.lab.motion import placed, turned
 from rosplat_lab.lab.points import Point, for_decibels, frontier, points, verdict
 
 Make = Callable[..., Splats]
@@ -206,9 +206,10 @@ def test_the_default_is_justified_by_the_frontier_or_said_to_be_beaten() -> None
 
 def records(gpu: str = "CPU, avx2") -> list[Record]:
     """A run of three settings on one scene."""
-    here = Circumstances(
-        "EPYC, 2 cores, 24 GiB", "", "", "abc1234", "lab s.ply", "2026-01-02T", 0.1
-    )
+    here = {
+        "machine": "EPYC, 2 cores, 24 GiB", "gpu": "", "driver": "", "commit": "abc1234",
+        "command": "lab s.ply", "time": "2026-01-02T", "load": 0.1,
+    }  # fmt: skip
     found = []
     settings = ((ways.DEFAULT, 20.0, 80.0, ""), ("Detail: 4 px", 10.0, 45.0, ""),
                 ("RVizSplat", None, 28.0, ways.MODEL))  # fmt: skip
@@ -217,9 +218,9 @@ def records(gpu: str = "CPU, avx2") -> list[Record]:
         where = ("s.ply", 1000, gpu)
         if ms:
             times = [ms - 0.1, ms, ms + 0.1]
-            found.append(Measurement.of("frame", "ms", times, *where, **labels))
+            found.append(Measurement("frame", "ms", times, *where, **labels))
         facts = {"worst_view": psnr - 3, "worst_pixel": 0.5, "drawn": 900}
-        found.append(Measurement.of("PSNR", "dB", psnr, *where, **labels, **facts))
+        found.append(Measurement("PSNR", "dB", psnr, *where, **labels, **facts))
     return [Record.of("lab", measured, here) for measured in found]
 
 

@@ -73,7 +73,7 @@ class _Scene:
         rng = np.random.default_rng(1)
         ended = [self._run(camera, picture, degrees, percent, rng) for camera in self._cameras]
         of = partial(
-            Measurement.of, scene=self._name, splats=self._splats, view=self._view,
+            Measurement, scene=self._name, splats=self._splats, view=self._view,
             picture=picture, degrees=degrees, percent=percent,
         )  # fmt: skip
         yield of("success", "share", np.mean([each.well for each in ended]))

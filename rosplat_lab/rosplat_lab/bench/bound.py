@@ -61,11 +61,11 @@ def _scene(name: str, path: list[Camera] | None, bounds: tuple[int, ...]) -> Ite
                 "views": views, "judged in": len(judge),
             }  # fmt: skip
             reached = int((errors <= 10 ** (-bound / 10)).sum())
-            yield Measurement.of("views that reach the bound", "1", reached, **labels)
-            yield Measurement.of("PSNR that most views reach", "dB", quality.psnr, **labels)
-            yield Measurement.of("PSNR", "dB", quality.mean, **labels)
-            yield Measurement.of("PSNR of the worst view", "dB", quality.worst, **labels)
-        yield Measurement.of(
+            yield Measurement("views that reach the bound", "1", reached, **labels)
+            yield Measurement("PSNR that most views reach", "dB", quality.psnr, **labels)
+            yield Measurement("PSNR", "dB", quality.mean, **labels)
+            yield Measurement("PSNR of the worst view", "dB", quality.worst, **labels)
+        yield Measurement(
             "processor time", "s", took, scene=name, splats=len(work.splats), bound=bound
         )
 

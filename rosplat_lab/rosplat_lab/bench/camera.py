@@ -61,23 +61,17 @@ def _warped(name: str, picture: tuple[int, int]) -> Iterator[Event]:
     renderer = CpuRenderer(splats)
     for view in scenes.views(name):
         camera = scenes.VIEWS[view](splats, *picture, 1)[0]
-        lens = lens_of(camera)
+        lens = Lens.of_camera(camera)
         lens = replace(lens, cx=math.floor(lens.cx) + OFF, cy=math.floor(lens.cy) + OFF)
         bent = replace(lens, model=PLUMB_BOB, coefficients=STRAIGHT)
         drawn, warped = (
             take_picture(renderer, Warp(each), camera.world_to_camera, near=camera.near).colour
             for each in (lens, bent)
         )
-        yield Measurement.of(
+        yield Measurement(
             "PSNR of the warp", "dB", metrics.psnr(warped.clip(0, 1), drawn.clip(0, 1)), name,
             len(splats), picture=f"{picture[0]}x{picture[1]}", view=view,
         )  # fmt: skip
-
-
-def lens_of(camera: Camera) -> Lens:
-    """A pinhole camera as a lens."""
-    centre = camera.cx - 0.5, camera.cy - 0.5  # for ROS, the first pixel's is 0
-    return Lens(camera.width, camera.height, camera.fx, camera.fy, *centre)
 
 
 def _filmed(
@@ -86,45 +80,36 @@ def _filmed(
     splats = scenes.load(name)
     cameras = scenes.overview(splats, *picture, COUNT)
     size = f"{picture[0]}x{picture[1]}"
-    of = partial(Measurement.of, scene=name, splats=len(splats), picture=size, by=by)
+    of = partial(Measurement, scene=name, splats=len(splats), picture=size, by=by)
     del splats
     if by == TF and _tf_message() is None:
         yield Skipped(f"{TF}: tf2_msgs or tf2_ros is not installed")
         return
-    with Set(plan, name, by) as film:
-        shoot = WAYS[by](film, cameras)
+    with Programs(plan.out / "log") as film:
+        arguments = ["-p", f"path:={quoted(name)}", "-p", f"frame_id:={_frame(film)}"]
+        film.node("rosplat_tools", "ply_publisher", *arguments)
+        shoot, flood, drawn_by = WAYS[by](film, cameras, f"{by}: no picture in {PATIENCE:.0f} s")
         numbers = itertools.count()  # no picture twice: a viewer keeps its last one
         taken = plan.budget.spend(lambda _: milliseconds(lambda: shoot(next(numbers))))
-        yield of("pose to picture", "ms", taken, gpu=film.drawn_by)
-        if film.flood:
-            yield of("pictures", "1/s", film.flood(seconds), gpu=film.drawn_by)
+        yield of("pose to picture", "ms", taken, gpu=drawn_by)
+        if flood:
+            yield of("pictures", "1/s", flood(seconds), gpu=drawn_by)
 
 
-class Set(Programs):
-    """A map's publisher, a program that takes pictures of the map, a node that asks for them."""
-
-    def __init__(self, plan: Plan, scene: str, by: str) -> None:
-        super().__init__(plan.out / "log")
-        self.flood: Callable[[float], float] | None = None
-        self.drawn_by = ""
-        self.frame = self.namespace.strip("/")  # of the map; its own, as all share TF
-        self.complaint = f"{by}: no picture in {PATIENCE:.0f} s"
-        self._scene = scene
-
-    def __enter__(self) -> Set:
-        super().__enter__()
-        settings = ["-p", f"path:={quoted(self._scene)}", "-p", f"frame_id:={self.frame}"]
-        self.node("rosplat_tools", "ply_publisher", *settings)
-        return self
+def _frame(film: Programs) -> str:
+    """The map's frame; its own, as all share TF."""
+    return film.namespace.strip("/")
 
 
-Shoot = Callable[[int], object]
-"""Has the picture of a numbered camera taken, and waits for it."""
+Shooting = tuple[Callable[[int], object], Callable[[float], float] | None, str]
+"""Has the picture of a numbered camera taken, and waits for it; pictures a second of a camera that
+moves for so long; what draws."""
 
 
 def _by_camera(
-    film: Set, cameras: list[Camera], *, coefficients: tuple[float, ...] = (), by_tf: bool = False
-) -> Shoot:
+    film: Programs, cameras: list[Camera], complaint: str, *,
+    coefficients: tuple[float, ...] = (), by_tf: bool = False,
+) -> Shooting:  # fmt: skip
     from geometry_msgs.msg import PoseStamped
     from rclpy.time import Time
     from sensor_msgs.msg import CameraInfo, Image
@@ -134,10 +119,11 @@ def _by_camera(
     from rosplat_tools.cameras.calibrations import of_lens
     from rosplat_tools.frames import transform
 
-    lens = lens_of(cameras[0])
+    lens = Lens.of_camera(cameras[0])
     if coefficients:
         lens = replace(lens, model=PLUMB_BOB, coefficients=coefficients)
-    optical = f"{film.frame}_optical"
+    frame = _frame(film)
+    optical = f"{frame}_optical"
     film.node(
         "rosplat_tools", "camera", "-p", f"poses:={'tf' if by_tf else 'topic'}",
         "-p", "rate:=1000.0", "-p", "camera.calibration:=topic", "-p",
@@ -150,17 +136,16 @@ def _by_camera(
 
     film.asker.create_subscription(Image, "camera/image_raw", on_image, 5)
     infos = film.asker.create_publisher(CameraInfo, "camera/calibration", 5)
-    film.wait(infos.get_subscription_count, film.complaint)
+    film.wait(infos.get_subscription_count, complaint)
     infos.publish(of_lens(lens))
     tf_message = _tf_message()
     poses = film.asker.create_publisher(PoseStamped, "camera/pose", 5)
     transforms = film.asker.create_publisher(tf_message, "/tf", 5) if by_tf and tf_message else None
-    film.drawn_by = "processor"
 
     def pose(number: int) -> int:
         """Publishes where the camera is now; returns the time. [ns]"""
         now = film.asker.get_clock().now()
-        header = Header(frame_id=film.frame, stamp=now.to_msg())
+        header = Header(frame_id=frame, stamp=now.to_msg())
         place = to_pose(np.linalg.inv(cameras[number % len(cameras)].world_to_camera))
         if transforms:
             transforms.publish(tf_message(transforms=[transform(header, optical, place)]))
@@ -170,10 +155,9 @@ def _by_camera(
 
     def shoot(number: int) -> None:
         asked = pose(number)
-        film.wait(lambda: stamps and stamps[-1] >= asked, film.complaint)
+        film.wait(lambda: stamps and stamps[-1] >= asked, complaint)
 
     def flood(seconds: float) -> float:
-        """Pictures a second of a camera that moves all the time."""
         before, began = len(stamps), time.monotonic()
         for number in itertools.count():
             if time.monotonic() - began > seconds:
@@ -184,35 +168,26 @@ def _by_camera(
                 film.spin_once(left)
         return (len(stamps) - before) / (time.monotonic() - began)
 
-    film.flood = flood
-
     def begin() -> None:
         infos.publish(of_lens(lens))  # a camera that begins may miss the first one
         pose(0)
 
-    film.wait(lambda: stamps, film.complaint, again=begin)
-    return shoot
+    film.wait(lambda: stamps, complaint, again=begin)
+    return shoot, flood, "processor"
 
 
-def _by_render_view(film: Set, cameras: list[Camera]) -> Shoot:
-    from rosplat_msgs.srv import RenderView
-    from rosplat_ros.view_cameras import view_camera
-
+def _by_render_view(film: Programs, cameras: list[Camera], complaint: str) -> Shooting:
     film.node("rosplat_sorter", "sorter")
     film.node("rviz_gaussian_plugin", "viewer", "-p", "serve:=true")
-    client: Any = film.asker.create_client(RenderView, "gaussians/render")
 
     def shoot(number: int) -> bool:
-        camera = view_camera(cameras[number % len(cameras)])
-        request = RenderView.Request(camera=camera, order_timeout=1.0)
-        answer = film.call(client, request, film.complaint)
+        answer = film.picture(cameras[number % len(cameras)], complaint, order_timeout=1.0)
         return bool(answer.success and answer.map_complete)
 
     while not shoot(-1):
         pass
     found = re.search(r"drawing with (.*)", film.said("viewer"))
-    film.drawn_by = found[1] if found else ""
-    return shoot
+    return shoot, None, found[1] if found else ""
 
 
 def _tf_message() -> Any:
@@ -222,7 +197,7 @@ def _tf_message() -> Any:
 
 
 TF = "camera, poses by TF"
-WAYS: dict[str, Callable[[Set, list[Camera]], Shoot]] = {
+WAYS: dict[str, Callable[[Programs, list[Camera], str], Shooting]] = {
     "camera": _by_camera,
     "camera, distorted": partial(_by_camera, coefficients=BARREL),
     TF: partial(_by_camera, by_tf=True),

@@ -9,8 +9,8 @@ import shlex
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -23,20 +23,10 @@ from rosplat_core.program.output import told, unheard
 from rosplat_core.program.typed_numbers import number, sized
 from rosplat_core.scenes import NAMES, check_scene
 from rosplat_core.splats import InputError
-from rosplat_lab.bench import live
-from rosplat_lab.bench.plan import FULL_BUDGET, QUICK_BUDGET, Plan
-from rosplat_lab.bench.records import (
-    Circumstances,
-    Doing,
-    Event,
-    Measurement,
-    Record,
-    RecordError,
-    Skipped,
-    save,
-)  # fmt: skip
+from rosplat_lab.bench.plan import GPU, PROCESSOR, Plan
+from rosplat_lab.bench.records import Doing, Event, Record, RecordError, Skipped, save
 from rosplat_lab.bench.renderers import RENDERERS
-from rosplat_lab.bench.thin import THIN
+from rosplat_lab.bench.scenes import THIN
 from rosplat_ros.program.processes import ProcessError
 from rosplat_sorter.backends import BACKENDS
 
@@ -44,40 +34,24 @@ WIDTH = 150  # of tables that go to a file
 STATISTICS = ("least", "p50", "p95", "p99", "most", "n")
 
 
-@dataclass(frozen=True)
-class Subject:
-    """What can be measured; its module has measure(plan), which yields Events."""
-
-    about: str
-    needs_ros: bool = False
-
-
-SUBJECTS = {
-    "sort": Subject("depth orders by every backend, each first held against the reference order"),
-    "frame": Subject("frames, their error and stages, beside other renderers; memory"),
-    "levels": Subject("time, memory and popping of levels of detail"),
-    "simplify": Subject("error of simplified maps, and the processor time of making them"),
-    "bound": Subject("what simplify promises, and what views have that it never saw"),
-    "occupancy": Subject("precision, recall and time of obstacles in a map"),
-    "simulate": Subject(
-        "a robot that MuJoCo moves: pictures with physics between them, a lidar's time and errors"
-    ),
-    "align": Subject(
-        "poses refined by pictures: how many starts end well, and how long that takes"
-    ),
-    "camera": Subject(
+SUBJECTS = {  # each has a module with measure(plan), which yields Events
+    "sort": "depth orders by every backend, each first held against the reference order",
+    "frame": "frames, their error and stages, beside other renderers; memory",
+    "levels": "time, memory and popping of levels of detail",
+    "simplify": "error of simplified maps, and the processor time of making them",
+    "bound": "what simplify promises, and what views have that it never saw",
+    "occupancy": "precision, recall and time of obstacles in a map",
+    "simulate":
+        "a robot that MuJoCo moves: pictures with physics between them, a lidar's time and errors",
+    "align": "poses refined by pictures: how many starts end well, and how long that takes",
+    "camera":
         "from a pose to the picture of a camera in the map; what the warp of lenses costs",
-        needs_ros=True,
-    ),
-    "rviz": Subject(
+    "rviz":
         "rviz2's own frames and pictures, of this display and others; under a mouse with xdotool",
-        needs_ros=True,
-    ),
-    "stream": Subject(
-        "a scene larger than memory, with a camera that flies, rests and jumps", needs_ros=True
-    ),
-    "chain": Subject("from pose to picture through publisher, sorter and viewer", needs_ros=True),
-}
+    "stream": "a scene larger than memory, with a camera that flies, rests and jumps",
+    "chain": "from pose to picture through publisher, sorter and viewer",
+}  # fmt: skip
+NEED_ROS = ("camera", "rviz", "stream", "chain")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -96,40 +70,28 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _measure(arguments: list[str], console: Console) -> int:
-    options = _parser().parse_args(arguments)
-    for name in options.scenes:
+    options = vars(_parser().parse_args(arguments))
+    subjects = options.pop("subjects") or SUBJECTS
+    plan = Plan(**options)
+    for name in plan.scenes:
         if name not in THIN:
             check_scene(name)
-    plan = Plan(
-        out=options.out,
-        quick=options.quick,
-        sizes=tuple(options.sizes),
-        scenes=tuple(options.scenes),
-        backends=tuple(options.backends),
-        variants=tuple(options.variants),
-        displays=tuple(options.displays),
-        cameras=options.cameras,
-        budget=QUICK_BUDGET if options.quick else FULL_BUDGET,
-    )
-    if options.seconds is not None:
-        plan = replace(plan, budget=replace(plan.budget, seconds=options.seconds))
-    make_folder(options.out)
+    make_folder(plan.out)
     here = circumstances("bench", arguments)
     console.print(
-        f"{here.machine}; GPU: {here.gpu or 'no NVIDIA'}; load {here.load:.1f}",
+        f"{here['machine']}; GPU: {here['gpu'] or 'no NVIDIA'}; load {here['load']:.1f}",
         markup=False,
         soft_wrap=True,
     )
     failed = False
-    for name in options.subjects or SUBJECTS:
-        subject = SUBJECTS[name]
-        if subject.needs_ros and not live.has_ros():
+    for name in subjects:
+        if name in NEED_ROS and not has_ros():
             console.print(f"[yellow]{name} skipped: no ROS 2, or no rosplat_msgs, is sourced")
             continue
         events = importlib.import_module(f"rosplat_lab.bench.{name}").measure(plan)
-        recorder = Recorder(name, options.out / f"{name}.json", here)
+        recorder = Recorder(name, plan.out / f"{name}.json", here)
         try:
-            follow(events, recorder, name, console)
+            recorder.follow(events, console)
         except (InputError, ProcessError, RuntimeError, AssertionError, OSError) as error:
             console.print(f"[red]{name} ended early: {escape(str(error))}", soft_wrap=True)
             failed = True
@@ -140,22 +102,28 @@ def _measure(arguments: list[str], console: Console) -> int:
     return int(failed)
 
 
-def circumstances(program: str, arguments: list[str]) -> Circumstances:
-    """The circumstances of a program's run with these arguments."""
+def has_ros() -> bool:
+    """Whether ROS 2 and this workspace's messages can be imported."""
+    try:
+        importlib.import_module("rclpy")
+        importlib.import_module("rosplat_msgs.msg")
+    except ImportError:
+        return False
+    return True
+
+
+def circumstances(program: str, arguments: list[str]) -> dict[str, Any]:
+    """The circumstances of a program's run with these arguments, for Record.of."""
     gpu, driver = machine.nvidia_gpu()
-    return Circumstances(
-        machine=machine.machine(),
-        gpu=gpu,
-        driver=driver,
-        commit=machine.commit(),
-        command=shlex.join([program, *arguments]),
-        time=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-        load=os.getloadavg()[0],
-    )
+    return {
+        "machine": machine.machine(), "gpu": gpu, "driver": driver, "commit": machine.commit(),
+        "command": shlex.join([program, *arguments]),
+        "time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), "load": os.getloadavg()[0],
+    }  # fmt: skip
 
 
 def _parser() -> argparse.ArgumentParser:
-    subjects = "\n".join(f"  {name:10} {subject.about}" for name, subject in SUBJECTS.items())
+    subjects = "\n".join(f"  {name:10} {about}" for name, about in SUBJECTS.items())
     parser = argparse.ArgumentParser(
         prog="bench",
         description=__doc__,
@@ -181,14 +149,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--backends", nargs="+", default=[], metavar="NAME",
-        help=f"of the sorter: {', '.join(BACKENDS)}; or the viewer itself: {live.GPU} (chain, "
-        f"frame), {live.PROCESSOR} (chain); default all",
+        help=f"of the sorter: {', '.join(BACKENDS)}; or the viewer itself: {GPU} (chain, frame), "
+        f"{PROCESSOR} (chain); default all",
     )  # fmt: skip
     parser.add_argument(
         "--variants", nargs="+", default=[], metavar="NAME",
-        help="of what frame draws: default, tiles, processor, "
-        f"'four maps', ray, disc, or another renderer: {', '.join(RENDERERS)}; of levels: card, "
-        "processor",
+        help="of what frame draws: default, tiles, processor, 'four maps', ewa, ray, disc, or "
+        f"another renderer: {', '.join(RENDERERS)}; of levels: card, processor",
     )  # fmt: skip
     parser.add_argument(
         "--displays", type=Path, nargs="+", default=[], metavar="FILE",
@@ -197,8 +164,8 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument(
         "--cameras", type=Path, metavar="FILE",
-        help="simplify: also for the views along this path, by which every way is then judged; "
-        "bound: for its odd cameras, by the even ones",
+        help="a path: simplify also simplifies for its views, and judges all ways by them; "
+        "bound simplifies for every other of its cameras, and judges by the rest",
     )  # fmt: skip
     parser.add_argument(
         "--seconds",
@@ -220,36 +187,29 @@ def _subject(text: str) -> str:
 class Recorder:
     """Keeps records, on disk from the moment each is measured."""
 
-    def __init__(self, subject: str, path: Path, circumstances: Circumstances) -> None:
-        self.subject = subject
+    def __init__(self, subject: str, path: Path, circumstances: dict[str, Any]) -> None:
         self.path = path
         self.records: list[Record] = []
-        self._circumstances = circumstances
+        self._subject, self._circumstances = subject, circumstances
 
-    def add(self, measured: Measurement) -> Record:
-        """Writes what was measured."""
-        now = replace(self._circumstances, load=os.getloadavg()[0])
-        self.records.append(Record.of(self.subject, measured, now))
-        save(self.path, self.records)
-        return self.records[-1]
-
-
-def follow(events: Iterator[Event], recorder: Recorder, name: str, console: Console) -> None:
-    """Records the measurements of events, and shows what is being done."""
-    columns = (
-        SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
-    )  # fmt: skip
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task(name, total=1.0)
-        for event in events:
-            if isinstance(event, Doing):
-                doing = escape(f"{name}: {event.text}")
-                progress.update(task, completed=event.part, description=doing)
-            elif isinstance(event, Skipped):
-                skipped = escape(event.text)
-                progress.console.print(f"[yellow]skipped: {skipped}", soft_wrap=True)
-            else:
-                recorder.add(event)
+    def follow(self, events: Iterator[Event], console: Console) -> None:
+        """Records the measurements of events, and shows what is being done."""
+        columns = (
+            SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(),
+        )  # fmt: skip
+        with Progress(*columns, console=console, transient=True) as progress:
+            task = progress.add_task(self._subject, total=1.0)
+            for event in events:
+                if isinstance(event, Doing):
+                    doing = escape(f"{self._subject}: {event.text}")
+                    progress.update(task, completed=event.part, description=doing)
+                elif isinstance(event, Skipped):
+                    skipped = escape(event.text)
+                    progress.console.print(f"[yellow]skipped: {skipped}", soft_wrap=True)
+                else:
+                    now = self._circumstances | {"load": os.getloadavg()[0]}
+                    self.records.append(Record.of(self._subject, event, now))
+                    save(self.path, self.records)
 
 
 def tables(records: list[Record]) -> Iterator[Table]:

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera
 from rosplat_core.splats import InputError, Splats
-from rosplat_lab.bench import embedded, scenes
+from rosplat_lab.bench import scenes
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, milliseconds
-from rosplat_lab.bench.renderers import CpuRenderer, DisplayRenderer, Ours
+from rosplat_lab.bench.renderers import CpuRenderer, DisplayRenderer, Ours, accelerated, in_turn
 
 Array = NDArray[np.float64]
 
@@ -58,13 +58,11 @@ def _drawers(plan: Plan) -> Iterator[Sequence[str]]:
     if unknown := set(plan.variants) - DRAWERS.keys():
         known = ", ".join(DRAWERS)
         raise InputError(f"unknown variant '{unknown.pop()}', known are {known}")
-    if plan.variants == ("processor",):
+    if set(plan.variants) == {"processor"}:
         yield plan.variants
         return
     with ensure_display():
-        (drawing,) = isolated(embedded.hardware)
-        accelerated = isinstance(drawing, Measurement) and "llvmpipe" not in drawing.gpu
-        yield plan.variants or (tuple(DRAWERS) if accelerated else ("processor",))
+        yield plan.variants or (tuple(DRAWERS) if accelerated() else ("processor",))
 
 
 def _scene(
@@ -75,7 +73,7 @@ def _scene(
     rendering.insert_all(drawer.renderer, splats)
 
     def of(what: str, unit: str, samples: Any, **parameters: str | float) -> Measurement:
-        return Measurement.of(what, unit, samples, name, len(splats), drawer.device, **parameters)
+        return Measurement(what, unit, samples, name, len(splats), drawer.device, **parameters)
 
     camera = scenes.overview(splats, *picture, 1)[0]
     _show(drawer, camera, "full")  # uploads the map
@@ -92,12 +90,7 @@ def _scene(
             ways.append((f"{SPLATS}", True))
         for detail, interactive in ways:
             _show(drawer, cameras[0], detail, interactive)
-
-            def frame(number: int, cameras: Sequence[Camera] = cameras) -> float:
-                drawer.set_camera(cameras[number % STEPS])
-                return milliseconds(drawer.draw)
-
-            times = budget.spend(frame, embedded.WARM_UP)
+            times = in_turn(drawer, cameras, budget)
             _show(drawer, cameras[0], detail, interactive)
             drawn: dict[str, Any] = {"px": drawer.report["error"], "drawn": drawer.report["splats"]}
             kept = "in motion" if interactive else "at once"

@@ -24,40 +24,40 @@ OF_LATE = 2.0  # time that the display's Status looks back on [s]
 GRID = {"Class": "rviz_default_plugins/Grid", "Name": "Grid", "Enabled": False, "Value": False}
 
 
-def measure(rviz: DrivenRviz, budget: Budget, labels: dict[str, Any]) -> Iterator[Measurement]:
+def measure(rviz: DrivenRviz, quick: bool, labels: dict[str, Any]) -> Iterator[Measurement]:
     """A view's frames, the age of the map's picture, how far its camera is off, processor time.
 
     With and without the display that the labels name, with and without the GRID beside it.
     """
-    display = labels["display"]
+    display, budget = labels["display"], QUICK_BUDGET if quick else BUDGET
     for grid, shown in product((False, True), repeat=2):
         _switch(rviz, "Grid", grid)
         _switch(rviz, display, shown)
         with drag(rviz):
             time.sleep(OF_LATE)
-            before, ages, offs = processor_times(rviz.process.pid), [], []
+            before = processor_times(rviz.process.pid)
+            ages: list[float] = []
+            offs: list[float] = []
             rviz.ask("start watch", turn=0.0)
             began = time.monotonic()
             while time.monotonic() < began + budget.seconds or rviz.ask("frames") <= budget.least:
                 time.sleep(0.5)
                 if shown:
                     text = rviz.status(display).get("Picture", ("", ""))[1]
-                    ages += _found(r"([\d.]+) ms old", text)
-                    offs += _found(r"([\d.]+) ms off", text)
+                    ages += map(float, re.findall(r"([\d.]+) ms old", text))
+                    offs += map(float, re.findall(r"([\d.]+) ms off", text))
             seen = rviz.ask("stop watch")
             after = processor_times(rviz.process.pid)
         case = labels | {"map": shown, "grid": grid}
-        yield Measurement.of("frame by mouse", "ms", seen["frame"], **case)
+        yield Measurement("frame by mouse", "ms", seen["frame"], **case)
         if ages:
-            yield Measurement.of("age by mouse", "ms", ages, **case)
+            yield Measurement("age by mouse", "ms", ages, **case)
         if offs:
-            yield Measurement.of("camera off by mouse", "ms", offs, **case)
+            yield Measurement("camera off by mouse", "ms", offs, **case)
         for threads in sorted(after):
             spent = after[threads] - before.get(threads, 0)
             per_frame = 1e3 * spent / (len(seen["frame"]) + 1)
-            yield Measurement.of(
-                "processor time by mouse", "ms", per_frame, **case, threads=threads
-            )
+            yield Measurement("processor time by mouse", "ms", per_frame, **case, threads=threads)
     _switch(rviz, "Grid", False)
 
 
@@ -97,11 +97,6 @@ def processor_times(pid: int) -> dict[str, float]:
                 nanoseconds = int((task / "schedstat").read_text().split()[0])
                 found[kind] = found.get(kind, 0) + 1e-9 * nanoseconds
     return found
-
-
-def _found(pattern: str, status: str) -> list[float]:
-    """Numbers in a display's Status on the map's picture, empty if there are none. [ms]"""
-    return [float(number) for number in re.findall(pattern, status)]
 
 
 def _switch(rviz: DrivenRviz, display: str, on: bool) -> None:

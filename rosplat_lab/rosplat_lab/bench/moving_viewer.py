@@ -13,7 +13,7 @@ from typing import TextIO
 
 import numpy as np
 
-from rosplat_lab.bench.embedded import gl_finish
+from rosplat_lab.bench.renderers import gl_finish
 from rosplat_lab.bench.scenes import STEP
 from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_ros.program.parameters import declare

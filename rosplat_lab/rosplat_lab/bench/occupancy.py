@@ -93,7 +93,7 @@ def _found(size: int, resolution: float) -> Iterator[Event]:
     truth = reference.truth(rooms, resolution, TOLERANCE)
     points = reference.surface_points(rooms, POINTS, SEED)
     expected = _grid(truth, resolution)
-    of = partial(Measurement.of, scene=f"rooms:{size}:{SEED}", splats=size, resolution=resolution)
+    of = partial(Measurement, scene=f"rooms:{size}:{SEED}", splats=size, resolution=resolution)
     methods: dict[str, Judged] = {
         LIGHT: light, "density": reference.densities, "centres": reference.centres,
     }  # fmt: skip
@@ -143,7 +143,7 @@ def _window(grid: Grid, width: float) -> NDArray[np.int8]:
 def _timed(size: int, resolution: float, budget: Budget) -> Iterator[Event]:
     splats = generate(size, SEED, 0, scene="rooms")
     put_in_slot_order(splats)
-    of = partial(Measurement.of, scene=f"rooms:{size}:{SEED}", splats=size, resolution=resolution)
+    of = partial(Measurement, scene=f"rooms:{size}:{SEED}", splats=size, resolution=resolution)
     voxels = OccupancyMap(resolution, ACROSS)
 
     def build(_: int) -> float:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rosplat_core.program.files import write_text
 
@@ -20,7 +21,6 @@ class RecordError(ValueError):
     """A file that holds no records; the text says which file and why."""
 
 
-@dataclass(frozen=True)
 class Measurement:
     """Samples of one quantity, as a subject took them.
 
@@ -29,24 +29,16 @@ class Measurement:
     what drew, where it isn't the machine's NVIDIA GPU.
     """
 
-    name: str
-    unit: str
-    samples: NDArray[np.float64]
-    scene: str = ""
-    splats: int = 0
-    parameters: Mapping[str, Parameter] = field(default_factory=dict)
-    gpu: str = ""
-
-    @classmethod
-    def of(
-        cls, name: str, unit: str, samples: ArrayLike, scene: str = "", splats: int = 0,
+    def __init__(
+        self, name: str, unit: str, samples: ArrayLike, scene: str = "", splats: int = 0,
         gpu: str = "", **parameters: Parameter,
-    ) -> Measurement:  # fmt: skip
-        """A measurement of one sample or several. Raises ValueError for none, or one not finite."""
-        values = np.atleast_1d(np.asarray(samples, np.float64))
-        if not values.size or not np.isfinite(values).all():
-            raise ValueError(f"{name}: expected one or more finite samples, got {values}")
-        return cls(name, unit, values, scene, splats, parameters, gpu)
+    ) -> None:  # fmt: skip
+        """Raises ValueError for no sample, or one that is not finite."""
+        self.name, self.unit, self.scene, self.splats, self.gpu = name, unit, scene, splats, gpu
+        self.parameters = parameters
+        self.samples = np.atleast_1d(np.asarray(samples, np.float64))
+        if not self.samples.size or not np.isfinite(self.samples).all():
+            raise ValueError(f"{name}: expected one or more finite samples, got {self.samples}")
 
 
 @dataclass(frozen=True)
@@ -68,23 +60,19 @@ Event = Measurement | Skipped | Doing
 """What subjects yield."""
 
 
-@dataclass(frozen=True)
-class Circumstances:
-    """What all measurements of a run share; empty where a machine lacks it."""
-
-    machine: str
-    gpu: str
-    driver: str
-    commit: str
-    command: str
-    time: str
-    load: float
-    """Programs that wanted a processor, the measured ones among them; the last minute's mean."""
+def in_a_row(jobs: Sequence[Callable[[], Iterator[Event]]]) -> Iterator[Event]:
+    """The events of jobs, one after the other, as those of one."""
+    for number, job in enumerate(jobs):
+        for event in job():
+            if isinstance(event, Doing):
+                event = replace(event, part=(number + event.part) / len(jobs))
+            yield event
 
 
 @dataclass(frozen=True)
 class Record:
-    """A measurement with its statistics and circumstances: what is written."""
+    """A measurement with its statistics and circumstances, which are empty where a machine lacks
+    them: what is written."""
 
     subject: str
     name: str
@@ -107,10 +95,12 @@ class Record:
     command: str
     time: str
     load: float
+    """Programs that wanted a processor, the measured ones among them; the last minute's mean."""
 
     @classmethod
-    def of(cls, subject: str, measured: Measurement, circumstances: Circumstances) -> Record:
-        """Percentiles are interpolated linearly between samples."""
+    def of(cls, subject: str, measured: Measurement, circumstances: dict[str, Any]) -> Record:
+        """circumstances: the last seven fields. Percentiles are interpolated linearly between
+        samples."""
         samples = measured.samples
         p50, p95, p99 = (float(value) for value in np.percentile(samples, [50, 95, 99]))
         return cls(
@@ -126,8 +116,8 @@ class Record:
             most=float(samples.max()),
             scene=measured.scene,
             splats=measured.splats,
-            parameters=dict(measured.parameters),
-            **(asdict(circumstances) | ({"gpu": measured.gpu} if measured.gpu else {})),
+            parameters=measured.parameters,
+            **(circumstances | ({"gpu": measured.gpu} if measured.gpu else {})),
         )
 
 

@@ -1,11 +1,13 @@
 """Renderers to be measured: the display's, the processor's rasteriser, and others.
 
-Each renderer to hold beside the display's has a class, and a row in RENDERERS.
+Each renderer to hold beside the display's has a class, and a row in RENDERERS. Knows no rviz and no
+ROS.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import ctypes
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -15,11 +17,15 @@ from numpy.typing import NDArray
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera
 from rosplat_core.models import Model
+from rosplat_core.rendering import MAP, RenderSettings, pose
 from rosplat_core.splats import Splats
-from rosplat_lab.bench import embedded
+from rosplat_lab.bench.isolation import isolated
+from rosplat_lab.bench.records import Budget, Event, Measurement, milliseconds
 
 if TYPE_CHECKING:
     from rviz_gaussian_plugin.offscreen import Renderer as Offscreen
+
+WARM_UP = 0.4  # of drawing, until a graphics card that had nothing to do has its full clock [s]
 
 
 class Renderer(Protocol):
@@ -45,6 +51,69 @@ class Renderer(Protocol):
         none. [bytes]"""
 
 
+def gl_finish() -> Callable[[], None]:
+    """OpenGL's glFinish, of the context that is current: waits until all is drawn."""
+    finish = ctypes.CDLL("libGL.so.1").glFinish
+    finish.restype = None
+    return lambda: finish()
+
+
+class NumberedView:
+    """A view of the renderer, whose cameras are numbered as the renderer wants it."""
+
+    def __init__(self, renderer: Offscreen, name: str = "bench") -> None:
+        self._renderer = renderer
+        self.name = name
+        self._sequence = 0
+
+    def set_camera(self, camera: Camera) -> int:
+        """Poses the view's camera; returns its number."""
+        self._sequence += 1
+        self._renderer.set_camera(self.name, self._sequence, *pose(camera))
+        return self._sequence
+
+    def set_order(self, number: int, revision: int, slots: NDArray[np.uint32]) -> None:
+        """Gives the renderer a sorter's order for a camera of this view and a map's revision."""
+        self._renderer.set_order(self.name, number, MAP, revision, "bench", 0.0, slots)
+
+    def draw(self, sort_now: bool = False) -> dict[str, Any]:
+        """Draws, sorted in this call if sort_now; returns what the renderer reports."""
+        report: dict[str, Any] = self._renderer.draw(self.name, sort_now=sort_now)
+        return report
+
+
+def changed(values: dict[str, Any]) -> RenderSettings:
+    """The default settings but for these values, enumerations by name.
+
+    Raises AttributeError for an unknown setting.
+    """
+    settings = RenderSettings()
+    for name, value in values.items():
+        members = getattr(type(getattr(settings, name)), "__members__", None)
+        setattr(settings, name, members[value] if members else value)
+    return settings
+
+
+def accelerated() -> bool:
+    """Whether a graphics card draws here. Needs a display. Raises RuntimeError where none draws."""
+    (drawing,) = isolated(_hardware)
+    return isinstance(drawing, Measurement) and "llvmpipe" not in drawing.gpu
+
+
+def _hardware() -> Iterator[Event]:
+    yield Measurement("", "", 0, gpu=DisplayRenderer().device)
+
+
+def in_turn(renderer: Renderer, cameras: Sequence[Camera], budget: Budget) -> list[float]:
+    """Times of frames with cameras in turn. [ms]"""
+
+    def frame(number: int) -> float:
+        renderer.set_camera(cameras[number % len(cameras)])
+        return milliseconds(renderer.draw)
+
+    return budget.spend(frame, WARM_UP)
+
+
 class CpuRenderer:
     """The plugin's rasteriser on the processor. Its times include the copy into NumPy's arrays."""
 
@@ -57,7 +126,7 @@ class CpuRenderer:
 
     def use(self, values: dict[str, Any]) -> None:
         """Sets these settings, enumerations by name, and all others to their defaults."""
-        self.renderer.settings = embedded.changed(values)
+        self.renderer.settings = changed(values)
 
     def set_map(self, splats: Splats) -> None:
         rendering.insert_all(self.renderer, splats)
@@ -89,15 +158,17 @@ class DisplayRenderer:
     """
 
     def __init__(self) -> None:
-        self.renderer: Offscreen = embedded.open_renderer()
+        from rviz_gaussian_plugin.offscreen import Renderer
+
+        self.renderer = Renderer()
         self.device: str = self.renderer.renderer_info
         self.accelerated = "llvmpipe" not in self.device
-        self.view = embedded.NumberedView(self.renderer)
-        self.finish = embedded.gl_finish()
-        self._small = embedded.NumberedView(self.renderer, "small")
+        self.view = NumberedView(self.renderer)
+        self.finish = gl_finish()
+        self._small = NumberedView(self.renderer, "small")
 
     def use(self, values: dict[str, Any]) -> None:
-        self.renderer.settings = embedded.changed(values)
+        self.renderer.settings = changed(values)
 
     def set_map(self, splats: Splats) -> None:
         rendering.insert_all(self.renderer, splats)

@@ -8,7 +8,7 @@ import re
 import shutil
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -187,39 +187,39 @@ def filled(entry: Any, values: dict[str, str]) -> Any:
     return entry
 
 
+@dataclass
 class Bench:
     """Displays of a scene, each in an rviz2 of its own."""
 
-    def __init__(
-        self, plan: Plan, name: str, splats: Splats, orbits: dict[str, Orbit],
-        by_mouse: dict[str, Orbit], processes: Processes,
-    ) -> None:  # fmt: skip
-        self._budget: Budget = plan.budget
-        self._mouse_budget = mouse.QUICK_BUDGET if plan.quick else mouse.BUDGET
-        self._picture = _picture(plan)
-        self._settling = Budget(1, 1, QUICK_SETTLING if plan.quick else SETTLING)
-        self._name, self._splats, self._orbits = name, splats, orbits
-        self._by_mouse = by_mouse
-        self._processes = processes
-        self._references: dict[str, NDArray[np.float64]] = {}
+    plan: Plan
+    name: str
+    splats: Splats
+    orbits: dict[str, Orbit]
+    by_mouse: dict[str, Orbit]
+    processes: Processes
+    references: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._picture = _picture(self.plan)
+        self._settling = Budget(1, 1, QUICK_SETTLING if self.plan.quick else SETTLING)
 
     def draw_references(self) -> None:
         """Draws what each view should show, on black."""
-        for view, orbit in self._orbits.items():
-            picture = render(self._splats, orbit.camera(*self._picture))
-            self._references[view] = np.clip(picture.rgba[..., :3], 0, 1)
+        for view, orbit in self.orbits.items():
+            picture = render(self.splats, orbit.camera(*self._picture))
+            self.references[view] = np.clip(picture.rgba[..., :3], 0, 1)
 
     def display(self, display: Display) -> Iterator[Event]:
         """All measurements of a display. Raises Refused, TimeoutError, ProcessError."""
-        with Processes(self._processes.folder) as own:
-            rviz = DrivenRviz(own, configuration(display, self._orbits), **UNSYNCHRONISED)
+        with Processes(self.processes.folder) as own:
+            rviz = DrivenRviz(own, configuration(display, self.orbits), **UNSYNCHRONISED)
             if not rviz.properties(display["Name"]):
                 raise Refused(f"rviz2 has no {display['Class']}, or can't load it")
             self._resize(rviz)
             self._wait_until_shown(rviz, display["Name"])
             put(rviz, display)
             self._watch(rviz, 0.0, self._settling)  # until the map is uploaded
-            for view in self._orbits:
+            for view in self.orbits:
                 yield from self._view(rviz, display["Name"], view)
             if "llvmpipe" in self._watch(rviz, 0.0, self._settling)["renderer"]:
                 yield from self._drag(rviz, display["Name"])
@@ -235,13 +235,13 @@ class Bench:
     def _wait_until_shown(self, rviz: DrivenRviz, name: str) -> None:
         """Waits until the Status of the display counts the scene's splats."""
         deadline = time.monotonic() + LOADING
-        count = re.compile(rf"\b{len(self._splats)}\b")
+        count = re.compile(rf"\b{len(self.splats)}\b")
         while True:
             status = rviz.status(name)
             texts = [text.replace(",", "") for level, text in status.values() if level == "Ok"]
             if any(map(count.search, texts)):
                 return
-            self._processes.check()
+            self.processes.check()
             if time.monotonic() > deadline:
                 raise TimeoutError(f"its Status never counted the splats: {status}")
             time.sleep(0.1)
@@ -249,32 +249,32 @@ class Bench:
     def _labels(self, view: str, display: str) -> dict[str, Any]:
         width, height = self._picture
         return {
-            "scene": self._name, "splats": len(self._splats), "picture": f"{width}x{height}",
+            "scene": self.name, "splats": len(self.splats), "picture": f"{width}x{height}",
             "view": view, "display": display,
         }  # fmt: skip
 
     def _drag(self, rviz: DrivenRviz, name: str) -> Iterator[Event]:
         if not shutil.which("xdotool"):
-            yield Skipped(f"{self._name}, {name}: no xdotool to move the mouse with")
+            yield Skipped(f"{self.name}, {name}: no xdotool to move the mouse with")
             return
         rviz.set("Global Options", "Frame Rate", value=mouse.FRAME_RATE)
-        for view, orbit in self._by_mouse.items():
+        for view, orbit in self.by_mouse.items():
             put(rviz, orbit.view(), root="view")
-            yield from mouse.measure(rviz, self._mouse_budget, self._labels(view, name))
+            yield from mouse.measure(rviz, self.plan.quick, self._labels(view, name))
 
     def _view(self, rviz: DrivenRviz, name: str, view: str) -> Iterator[Measurement]:
         labels = self._labels(view, name)
         for camera, turn in TURNS.items():
-            put(rviz, self._orbits[view].view(), root="view")
+            put(rviz, self.orbits[view].view(), root="view")
             self._watch(rviz, turn, self._settling)
-            seen = self._watch(rviz, turn, self._budget)
+            seen = self._watch(rviz, turn, self.plan.budget)
             labels["gpu"] = seen["renderer"]
-            yield Measurement.of("frame", "ms", seen["frame"], **labels, camera=camera)
+            yield Measurement("frame", "ms", seen["frame"], **labels, camera=camera)
             if "llvmpipe" not in seen["renderer"]:  # llvmpipe's clock misses what it defers
-                yield Measurement.of("drawing", "ms", seen["drawing"], **labels, camera=camera)
-            if not turn and view in self._references:
-                found = metrics.psnr(self._photograph(rviz), self._references[view])
-                yield Measurement.of("PSNR", "dB", found, **labels)
+                yield Measurement("drawing", "ms", seen["drawing"], **labels, camera=camera)
+            if not turn and view in self.references:
+                found = metrics.psnr(self._photograph(rviz), self.references[view])
+                yield Measurement("PSNR", "dB", found, **labels)
 
     def _watch(self, rviz: DrivenRviz, turn: float, budget: Budget) -> Any:
         rviz.ask("start watch", turn=turn)

@@ -108,16 +108,16 @@ def _scene(name: str, path: list[Camera] | None, steps: int) -> Iterator[Event]:
                 labels: dict[str, Any] = {
                     "scene": name, "splats": len(kept), "method": method, "share": share,
                 }  # fmt: skip
-                yield Measurement.of("PSNR", "dB", quality.mean, **labels)
-                yield Measurement.of("PSNR that most views reach", "dB", quality.psnr, **labels)
-                yield Measurement.of("PSNR of the worst view", "dB", quality.worst, **labels)
-                yield Measurement.of("processor time", "s", took, **labels)
+                yield Measurement("PSNR", "dB", quality.mean, **labels)
+                yield Measurement("PSNR that most views reach", "dB", quality.psnr, **labels)
+                yield Measurement("PSNR of the worst view", "dB", quality.worst, **labels)
+                yield Measurement("processor time", "s", took, **labels)
                 save(Path(folder) / "kept.spz", kept, overwrite=True)
                 size = (Path(folder) / "kept.spz").stat().st_size
-                yield Measurement.of("size as SPZ", "MB", size / 1e6, **labels)
+                yield Measurement("size as SPZ", "MB", size / 1e6, **labels)
         for method, work in works.items():
             labels = {"scene": name, "splats": len(splats), "method": method}
-            yield Measurement.of("views learnt from", "1", work.learnt.drawn, **labels)
+            yield Measurement("views learnt from", "1", work.learnt.drawn, **labels)
 
 
 def _decimated(folder: Path, mode: str, share: float) -> Splats:

@@ -10,14 +10,19 @@ from __future__ import annotations
 import copy
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from ament_index_python.packages import get_package_share_directory
+from numpy.typing import NDArray
 
+from rosplat_core import harmonics
 from rosplat_core.generated.rooms import Rooms
+from rosplat_core.quaternions import from_matrices, to_matrices
 from rosplat_core.rendering import CpuRenderer, Renderer
 from rosplat_core.scenes import ROOMS
 from rosplat_core.splats import InputError, Splats
@@ -26,14 +31,13 @@ from rosplat_lab.bench import scenes
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Budget, Doing, Event, Measurement, Skipped, milliseconds
-from rosplat_lab.bench.warp_camera import NAME as RIVAL
-from rosplat_lab.bench.warp_camera import WarpCamera
 from rosplat_lab.reference.room_rays import meet, off_edges
 from rosplat_tools import SplatCamera
 from rosplat_tools.lidars.scanning import Lidar, Pattern
 from rosplat_tools.simulation.physics import load_mujoco
 from rosplat_tools.simulation.robot_model import Standing, put_in_map
 
+RIVAL = "mujoco_warp"
 SIZES, QUICK_SIZES = (500_000,), (20_000,)  # of rooms
 SEED = 0
 START = (-1.2, -1.2, 0.0)  # in rooms: in the middle one, between its doors [m, rad]
@@ -78,7 +82,7 @@ def _filmed(name: str, budget: Budget, sizes: Sizes) -> Iterator[Event]:
     began = time.perf_counter()
     stands = _turning(name, splats)
     put = time.perf_counter() - began
-    yield Measurement.of("solid parts of the map", "s", put, name, len(splats), boxes=stands.boxes)
+    yield Measurement("solid parts of the map", "s", put, name, len(splats), boxes=stands.boxes)
     yield from _pictures(name, splats, stands, CpuRenderer(splats), "", budget, sizes)
 
 
@@ -103,9 +107,7 @@ def _pictures(
         yield Skipped(f"bodies in pictures: {eye.problem}")
 
     def of(quantity: str, work: Callable[[], object]) -> Iterator[Event]:
-        samples, used = _timed(work, budget)
-        yield Measurement.of(quantity, "ms", samples, name, len(splats), gpu)
-        yield Measurement.of(f"{quantity}, processor", "core-ms", used, name, len(splats), gpu)
+        return _both(quantity, _timed(work, budget), name, len(splats), gpu)
 
     def live() -> None:
         robot.step(PERIOD)
@@ -123,7 +125,7 @@ def _pictures(
     for size in sizes:
         robot.model.cam_resolution[robot.model.camera(CAMERA).id] = size
         for count in ENVIRONMENTS:
-            yield Measurement.of(
+            yield Measurement(
                 "steps a second", "1/s", _steps(stands, eye, count, budget), name, len(splats), gpu,
                 environments=count, pixels=f"{size[0]}x{size[1]}",
             )  # fmt: skip
@@ -178,9 +180,7 @@ def _beside(name: str) -> Iterator[Event]:
         robot.step(2 * math.pi / HEADINGS / TURN)
     for by, pairs in samples.items():
         passed, used = zip(*pairs, strict=True)
-        quantity = "the same pictures by"
-        yield Measurement.of(quantity, "ms", passed, name, len(splats), by=by)
-        yield Measurement.of(f"{quantity}, processor", "core-ms", used, name, len(splats), by=by)
+        yield from _both("the same pictures by", (passed, used), name, len(splats), by=by)
 
 
 def _scanned(name: str, budget: Budget) -> Iterator[Event]:
@@ -204,18 +204,24 @@ def _scanned(name: str, budget: Budget) -> Iterator[Event]:
         for rays, chosen in (("all", within), ("off edges", within & np.concatenate(clear))):
             said = {"incidence": f"{low} to {high} deg", "rays": rays}
             known = error[chosen]
-            yield Measurement.of(
+            yield Measurement(
                 "error of ranges", "mm", 1e3 * np.median(known), name, len(splats), **said
             )
-            yield Measurement.of(
+            yield Measurement(
                 f"ranges within {CLOSE:g} m", "share", np.mean(known < CLOSE), name, len(splats),
                 **said,
             )  # fmt: skip
-    samples, used = _timed(lambda: lidar.scan(renderer, to_lidar), budget)
-    for quantity, unit, values in (("scan", "ms", samples), ("scan, processor", "core-ms", used)):
-        yield Measurement.of(
-            quantity, unit, values, name, len(splats), rings=RINGS, columns=COLUMNS
-        )
+    taken = _timed(lambda: lidar.scan(renderer, to_lidar), budget)
+    yield from _both("scan", taken, name, len(splats), rings=RINGS, columns=COLUMNS)
+
+
+def _both(
+    quantity: str, taken: tuple[Sequence[float], Sequence[float]], *of: Any, **parameters: Any
+) -> Iterator[Event]:
+    """Measurements of times by the clock, and of all cores together; the rest as Measurement's."""
+    passed, used = taken
+    yield Measurement(quantity, "ms", passed, *of, **parameters)
+    yield Measurement(f"{quantity}, processor", "core-ms", used, *of, **parameters)
 
 
 def _timed(work: Callable[[], object], budget: Budget) -> tuple[list[float], list[float]]:
@@ -235,3 +241,59 @@ def _clocked(work: Callable[[], object]) -> tuple[float, float]:
     before = time.process_time()
     passed = milliseconds(work)
     return passed, 1e3 * (time.process_time() - before)
+
+
+class WarpCamera:
+    """A camera of a MuJoCo model, through which mujoco_warp sees its bodies and a map, on the
+    processor: the other that draws both. Its splats have one colour for all directions, and stand
+    still in the world of the model."""
+
+    def __init__(
+        self, model: Any, data: Any, splats: Splats, map_pose: NDArray[np.float64], camera: str
+    ) -> None:
+        """map_pose: (4, 4) the map's pose in MuJoCo's world [m]. Raises ImportError."""
+        import mujoco_warp
+        import warp
+
+        warp.config.log_level = warp.LOG_ERROR  # else it tells of all that it compiles
+        self.name = f"{RIVAL} {version('mujoco-warp')}"
+        self._warp, self._mujoco_warp = warp, mujoco_warp
+        self._model = model
+        place, turn = map_pose[:3, 3], map_pose[:3, :3]
+        orientations = from_matrices(turn @ to_matrices(splats.orientations))
+        colours = np.clip(0.5 + harmonics.C0 * splats.sh[:, 0], 0, 1)
+        number = model.camera(camera).id
+        width, height = model.cam_resolution[number].tolist()
+        with warp.ScopedDevice("cpu"):
+            self._warp_model = mujoco_warp.put_model(model)
+            self._context = mujoco_warp.create_render_context(
+                model,
+                cam_active=[number],
+                render_rgb=True,
+                render_depth=True,
+                splat_position=_floats((splats.positions + splats.origin) @ turn.T + place),
+                splat_rotation=_floats(np.roll(orientations, 1, axis=1)),  # w first
+                splat_scale=_floats(splats.scales),
+                splat_rgba=_floats(np.column_stack([colours, splats.opacities])),
+            )
+            self._rgb = warp.empty((1, height, width), dtype=warp.vec3)
+            self._depth = warp.empty((1, height, width), dtype=float)
+        self.set_data(data)
+
+    def set_data(self, data: Any) -> None:
+        """Takes the state of the pictures to come."""
+        with self._warp.ScopedDevice("cpu"):
+            self._data = self._mujoco_warp.put_data(self._model, data)
+
+    def render(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Colours (height, width, 3), 0 to 1, and depths (height, width) as it means them."""
+        with self._warp.ScopedDevice("cpu"):
+            self._mujoco_warp.refit_bvh(self._warp_model, self._data, self._context)
+            self._mujoco_warp.render(self._warp_model, self._data, self._context)
+            self._mujoco_warp.get_rgb(self._context, 0, self._rgb)
+            self._mujoco_warp.get_depth(self._context, 0, 1.0, self._depth)
+            return self._rgb.numpy()[0], self._depth.numpy()[0]
+
+
+def _floats(values: NDArray[np.floating]) -> NDArray[np.float32]:
+    return np.ascontiguousarray(values, np.float32)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -14,8 +14,8 @@ from rosplat_core import depth, rendering
 from rosplat_core.ordering import view_of
 from rosplat_core.splats import InputError, Splats
 from rosplat_core.view import SortView
-from rosplat_lab.bench import live, scenes
-from rosplat_lab.bench.plan import Plan
+from rosplat_lab.bench import scenes
+from rosplat_lab.bench.plan import GPU, PROCESSOR, Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped, milliseconds
 from rosplat_sorter.backends import (
     BACKENDS,
@@ -74,12 +74,12 @@ class Way:
 
 
 def methods(
-    sorted_map: SplatMap, backends: tuple[str, ...]
+    sorted_map: SplatMap, backends: Sequence[str]
 ) -> list[tuple[str, Callable[[], list[Way]]]]:
     """By name, functions that make the ways. backends: of the sorter; empty: all."""
     found: list[tuple[str, Callable[[], list[Way]]]] = []
     for name in backends or tuple(BACKENDS):
-        if name in (live.GPU, live.PROCESSOR):
+        if name in (GPU, PROCESSOR):
             continue  # the viewer's, which `frame` measures
         if name not in BACKENDS:
             raise InputError(f"unknown backend '{name}', known are {', '.join(BACKENDS)}")
@@ -142,7 +142,7 @@ def _timed(
     times = plan.budget.spend(
         lambda index: milliseconds(lambda: way.sort(views[index % len(views)]))
     )
-    return Measurement.of(
+    return Measurement(
         way.quantity, "ms", times, scene, sorted_map.splats,
         method=way.label, view=kind, visible=int(visible),
     )  # fmt: skip

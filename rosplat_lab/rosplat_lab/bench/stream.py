@@ -2,35 +2,34 @@
 
 from __future__ import annotations
 
+import io
+import json
 import math
 import time
+import zipfile
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import rendering
 from rosplat_core.cameras import Camera, look_at
-from rosplat_core.formats.streamed_sog import Pieces, Streamed, open_streamed
+from rosplat_core.formats import sog
+from rosplat_core.formats.streamed_sog import META, Pieces, Streamed, open_streamed
+from rosplat_core.generated import generate
 from rosplat_core.posed_camera import PosedCamera
 from rosplat_core.program import machine
-from rosplat_core.splats import InputError, concatenate, splat_bytes
+from rosplat_core.splats import InputError, Splats, concatenate, splat_bytes
 from rosplat_lab import metrics
-from rosplat_lab.bench import streamed_gardens
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Doing, Event, Measurement
 from rosplat_lab.programs import Programs
 from rosplat_ros.program.processes import quoted
-from rosplat_ros.view_cameras import view_camera
 from rosplat_tools.streaming.detail import NOTHING, Levels, choose, in_sight, magnification
-
-if TYPE_CHECKING:
-    from rosplat_msgs.srv import RenderView
 
 Array = NDArray[np.float64]
 
@@ -45,32 +44,25 @@ ELSEWHERE = 0.6  # part of the way at which the camera is put after the flight
 DOWN, WEAVE, TURN = 0.35, 0.7, 12.0  # looks down, and left and right [rad], with a period of [s]
 SETTLED = 3.0  # a map at rest that has not changed for so long has heard of the camera, too [s]
 PATIENCE = 300.0  # until it is at rest [s]
+NO_PICTURE = "no picture from gaussians/render"
+
+# The gardens.
+SIDE = 4  # gardens along x, and along y
+APART = 5.0  # distance of their middles [m]
+LEVELS = (1, 4, 16)  # one in so many splats is left, the finest first
 
 TRUTH_BYTES = 1 << 29  # most for the truth's splats, as in messages; the nearest come first
 TRUTH_ERROR = 0.25  # that is small enough for it [px]
 
 
-@dataclass(frozen=True)
-class Sight:
-    """What a viewer showed to a camera, (height, width, 3), and when: at rest, say."""
-
-    camera: Camera
-    picture: NDArray[np.float32]
-    when: str
-
-
 def measure(plan: Plan) -> Iterator[Event]:
     """Pictures' times and processes' memory in flight, seconds until rest, PSNR."""
-    names = [] if plan.scenes and not plan.sizes else list(plan.sizes)
-    if not names and not plan.scenes:
-        names = list(QUICK_SIZES if plan.quick else SIZES)
+    sizes = plan.sizes or (() if plan.scenes else QUICK_SIZES if plan.quick else SIZES)
     with TemporaryDirectory() as folder:
         jobs = []
-        for size in names:
+        for size in sizes:
             yield Doing(f"a scene of {size:,} splats is written", 0.0)
-            jobs.append(
-                (streamed_gardens.write(Path(folder) / f"gardens-{size}", size), size // SHARE)
-            )
+            jobs.append((_gardens(Path(folder) / f"gardens-{size}", size), size // SHARE))
         jobs += [(Path(scene), budget) for scene in plan.scenes for budget in BUDGETS]
         for number, (path, budget) in enumerate(jobs):
             yield Doing(f"{path.parent.name}, {budget:,} splats", number / len(jobs))
@@ -80,54 +72,46 @@ def measure(plan: Plan) -> Iterator[Event]:
 def _scene(path: Path, budget: int, out: Path, quick: bool) -> Iterator[Event]:
     scene = open_streamed(path)
     course = Course(scene, *(QUICK_PICTURE if quick else PICTURE))
-    common: dict[str, Any] = {"scene": scene.path.parent.name, "splats": scene.splats}
-    sights: list[Sight] = []
+    common: dict[str, Any] = {
+        "scene": scene.path.parent.name, "splats": scene.splats, "budget": budget,
+    }  # fmt: skip
+    # What the viewer showed to a camera, (height, width, 3), and when.
+    sights: list[tuple[Camera, NDArray[np.float32], str]] = []
+    # By what came before: seconds until a map was at rest, and processor time by program.
+    waits: dict[str, tuple[float, dict[str, float]]] = {}
     with Watched(path, budget, out / "log") as watched:
+
+        def rest(after: str, camera: Camera) -> None:
+            waits[after] = watched.until_rest(camera)
+            sights.append((camera, watched.shown, "at rest"))
+
         flight = QUICK_FLIGHT if quick else FLIGHT
-        waits = {"start": watched.until_rest(course.at(0.0))}
-        yield Measurement.of(
-            "picture at rest", "ms", 1e3 * np.array(watched.still), **common, budget=budget
-        )
-        sights.append(Sight(course.at(0.0), watched.picture, "at rest"))
+        rest("start", course.at(0.0))
+        yield Measurement("picture at rest", "ms", 1e3 * np.array(watched.still), **common)
         pauses = []
         began = time.monotonic()
         while (since := time.monotonic() - began) < flight:
             camera = course.at(since)
             pauses.append(watched.render(camera))
             if len(sights) - 1 < SIGHTS and since > len(sights) / (SIGHTS + 1) * flight:
-                sights.append(Sight(camera, watched.picture, "in flight"))
-        yield Measurement.of(
-            "picture in flight", "ms", 1e3 * np.array(pauses), **common, budget=budget
-        )
-        waits["flight"] = watched.until_rest(course.at(flight))
-        sights.append(Sight(course.at(flight), watched.picture, "at rest"))
-        waits["jump"] = watched.until_rest(course.at(0.0, ELSEWHERE))
-        sights.append(Sight(course.at(0.0, ELSEWHERE), watched.picture, "at rest"))
-        for after, wait in waits.items():
-            yield Measurement.of(
-                "until at rest", "s", wait.time, **common, budget=budget, after=after
-            )
-            for name, work in wait.work.items():
-                yield Measurement.of(
-                    "processor time until at rest", "s", work, **common, budget=budget, after=after,
-                    process=name,
-                )  # fmt: skip
+                sights.append((camera, watched.shown, "in flight"))
+        yield Measurement("picture in flight", "ms", 1e3 * np.array(pauses), **common)
+        rest("flight", course.at(flight))
+        rest("jump", course.at(0.0, ELSEWHERE))
+        for after, (seconds, work) in waits.items():
+            yield Measurement("until at rest", "s", seconds, **common, after=after)
+            for name, used in work.items():
+                yield Measurement(
+                    "processor time until at rest", "s", used, **common, after=after, process=name
+                )
         for name, peak in watched.peaks().items():
-            yield Measurement.of("RAM", "MB", peak / 1e6, **common, budget=budget, process=name)
+            yield Measurement("RAM", "MB", peak / 1e6, **common, process=name)
     values: dict[str, list[float]] = {}
-    for sight in sights:
-        shown, truth = np.clip(sight.picture, 0, 1), _truth(scene, sight.camera)
-        values.setdefault(sight.when, []).append(metrics.psnr(shown, truth))
+    for camera, picture, when in sights:
+        shown, truth = np.clip(picture, 0, 1), _truth(scene, camera)
+        values.setdefault(when, []).append(metrics.psnr(shown, truth))
     for when, found in values.items():
-        yield Measurement.of("PSNR", "dB", found, **common, budget=budget, when=when)
-
-
-@dataclass(frozen=True)
-class Wait:
-    """Time until a map was at rest, and processor time until then, by program. [s]"""
-
-    time: float
-    work: dict[str, float]
+        yield Measurement("PSNR", "dB", found, **common, when=when)
 
 
 class Course:
@@ -172,8 +156,6 @@ class Watched(Programs):
         self._arguments = ["-p", f"path:={quoted(path)}", "-p", f"max_splats:={budget}"]
 
     def __enter__(self) -> Watched:
-        from rosplat_msgs.srv import RenderView
-
         super().__enter__()
         self._programs = {
             "viewer": self.node("rviz_gaussian_plugin", "viewer", "-p", "serve:=true"),
@@ -181,22 +163,28 @@ class Watched(Programs):
                 "rosplat_tools", "stream_publisher", *self._arguments, name="publisher"
             ),
         }
-        self._client: Any = self.asker.create_client(RenderView, "gaussians/render")
         self._revision = -1
         return self
 
     def render(self, camera: Camera) -> float:
         """Has a camera's picture drawn; returns how long that took [s]."""
         began = time.monotonic()
-        answer = self._ask(camera)
+        answer = self.picture(camera, NO_PICTURE)
+        while not answer.success:
+            if time.monotonic() > began + PATIENCE:
+                raise TimeoutError(NO_PICTURE)
+            answer = self.picture(camera, NO_PICTURE)
         took = time.monotonic() - began
         colour = np.frombuffer(answer.color.data, np.float32)
-        self.picture = colour.reshape(camera.height, camera.width, 4)[..., :3].copy()
+        self.shown = colour.reshape(camera.height, camera.width, 4)[..., :3].copy()
         self._revision = answer.revision
         return took
 
-    def until_rest(self, camera: Camera) -> Wait:
-        """Draws until nothing more comes. Raises RuntimeError after PATIENCE."""
+    def until_rest(self, camera: Camera) -> tuple[float, dict[str, float]]:
+        """Draws until nothing more comes; returns how long that took, and programs' work.
+
+        Raises RuntimeError after PATIENCE. [s]
+        """
         began = changed = time.monotonic()
         before = done = self._work()
         revision = self._revision
@@ -208,7 +196,7 @@ class Watched(Programs):
             if self._revision != revision:
                 revision, changed, done = self._revision, time.monotonic(), self._work()
                 self.still.clear()
-        return Wait(changed - began, {name: done[name] - before[name] for name in done})
+        return changed - began, {name: done[name] - before[name] for name in done}
 
     def peaks(self) -> dict[str, int]:
         """The most memory that each of the programs has had in RAM. [bytes]"""
@@ -219,18 +207,6 @@ class Watched(Programs):
 
     def _at_rest(self) -> bool:
         return "at rest:" in self.last_line("publisher")
-
-    def _ask(self, camera: Camera) -> RenderView.Response:
-        from rosplat_msgs.srv import RenderView
-
-        complaint = f"no picture from {self._client.srv_name}"
-        deadline = time.monotonic() + PATIENCE
-        while time.monotonic() < deadline:
-            request = RenderView.Request(camera=view_camera(camera))
-            answer = self.call(self._client, request, complaint)
-            if answer.success:
-                return answer
-        raise TimeoutError(complaint)
 
 
 def _truth(scene: Streamed, camera: Camera) -> Array:
@@ -260,3 +236,48 @@ def _truth(scene: Streamed, camera: Camera) -> Array:
     rendering.insert_all(renderer, concatenate([pieces.read(part) for part in parts]))
     colour = renderer.draw(posed(camera))["colour"][..., :3]
     return np.clip(colour.astype(np.float64), 0, 1)
+
+
+def _gardens(folder: Path, count: int) -> Path:
+    """Writes gardens side by side as a streamed SOG, of some `count` splats at its finest; returns
+    its lod-meta.json."""
+    names: list[str] = []
+    chunks: list[dict[str, Any]] = []
+    for number in range(SIDE * SIDE):
+        quarters: list[dict[str, Any]] = [{"lods": {}} for _ in range(4)]
+        for level, share in enumerate(LEVELS):
+            splats = generate(max(4, count // SIDE**2 // share), seed=number, sh_degree=0)
+            quarter = (splats.positions[:, 0] > 0) + 2 * (splats.positions[:, 1] > 0)
+            parts = [splats[quarter == which] for which in range(4)]
+            offset = 0
+            for chunk, part in zip(quarters, parts, strict=True):
+                part.positions[:, :2] += np.multiply(APART, divmod(number, SIDE)).astype(np.float32)
+                chunk["lods"][str(level)] = {
+                    "file": len(names), "offset": offset, "count": len(part),
+                }  # fmt: skip
+                offset += len(part)
+                if level == 0:
+                    low, high = part.positions.min(axis=0), part.positions.max(axis=0)
+                    chunk["bound"] = {"min": low.tolist(), "max": high.tolist()}
+            names.append(f"{level}_{number}/{sog.META}")
+            _unpack(concatenate(parts), folder / f"{level}_{number}")
+        chunks += quarters
+    path = folder / META
+    path.write_text(
+        json.dumps(
+            {
+                "version": 1,
+                "lodLevels": len(LEVELS),
+                "filenames": names,
+                "tree": {"children": chunks},
+            }
+        )
+    )
+    return path
+
+
+def _unpack(splats: Splats, folder: Path) -> None:
+    packed = io.BytesIO()
+    sog.write(packed, folder, splats)
+    with zipfile.ZipFile(packed) as bundle:
+        bundle.extractall(folder)

@@ -13,17 +13,17 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from rosplat_core import depth
 from rosplat_core.cameras import Camera
 from rosplat_core.ordering import view_of
 from rosplat_core.splats import Splats
-from rosplat_core.view import SortView
 from rosplat_lab import metrics, reference
 from rosplat_lab.bench import scenes
-from rosplat_lab.bench.sort import map_of
-from rosplat_sorter.backends import open_backend
 
 COMPARED = (640, 360)  # size of the compared middle of a picture, at most [px]
 
+Look = Callable[[Splats], Camera]
+"""Chooses a camera of a scene."""
 Truth = NDArray[np.float32]
 """(height, width, 3) RGB over black of the compared part of a picture."""
 Crop = tuple[int, int, int, int]
@@ -37,7 +37,7 @@ def exact(splats: Splats, camera: Camera, crop: Crop) -> NDArray[np.float64]:
     return reference.render(splats, camera, crop=crop).rgba[..., :3]
 
 
-def draw(name: str, looks: Sequence[Callable[[Splats], Camera]], by: Draw = exact) -> list[Truth]:
+def draw(name: str, looks: Sequence[Look], by: Draw = exact) -> list[Truth]:
     """Draws the compared parts of pictures of a scene, by the reference or by a model.
 
     name: of the scene. looks: choose the cameras, of which a process draws one at a time.
@@ -56,7 +56,7 @@ def draw(name: str, looks: Sequence[Callable[[Splats], Camera]], by: Draw = exac
             raise
 
 
-def _draw(name: str, by: Draw, look: Callable[[Splats], Camera]) -> Truth:
+def _draw(name: str, by: Draw, look: Look) -> Truth:
     splats = _scene(name)
     camera = look(splats)
     rows, columns = compared(camera.width, camera.height)
@@ -88,8 +88,8 @@ def psnr(drawn: NDArray[np.floating], truth: Truth) -> float:
     return metrics.psnr(middle(drawn), np.clip(truth, 0, 1))
 
 
-def in_view(splats: Splats, camera: Camera, crop: Crop) -> NDArray[np.uint32]:
-    """Rows of the splats that a part of a camera's picture may show, ascending."""
+def in_view(splats: Splats, camera: Camera, crop: Crop) -> NDArray[np.intp]:
+    """Rows of the splats that a part of a camera's picture may show."""
     left, top, right, bottom = crop
     window = replace(
         camera, width=right - left, height=bottom - top, cx=camera.cx - left, cy=camera.cy - top
@@ -97,15 +97,5 @@ def in_view(splats: Splats, camera: Camera, crop: Crop) -> NDArray[np.uint32]:
     part, whole = view_of(window, splats), view_of(camera, splats)
     # A part's footprints grow as in the whole picture.
     part = replace(part, slope_x=whole.slope_x, slope_y=whole.slope_y)
-    return np.sort(_orders(splats, [part])[0])
-
-
-def orders(splats: Splats, cameras: Sequence[Camera]) -> list[NDArray[np.uint32]]:
-    """A sorter's orders, by the native backend."""
-    return _orders(splats, [view_of(camera, splats) for camera in cameras])
-
-
-def _orders(splats: Splats, views: Sequence[SortView]) -> list[NDArray[np.uint32]]:
-    sorter, sorted_map = open_backend("native"), map_of(splats)
-    sorter.update(sorted_map, slice(0, sorted_map.rows))
-    return [np.array(sorter.order(view)) for view in views]
+    extents = depth.splat_extents(splats.scales, splats.opacities)
+    return np.flatnonzero(depth.visible(part, splats.positions, extents))

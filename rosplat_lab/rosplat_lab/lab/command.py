@@ -20,8 +20,8 @@ from rosplat_core.program.files import make_folder
 from rosplat_core.program.output import say, told
 from rosplat_core.scenes import NAMES, PROCEDURAL, check_scene
 from rosplat_core.splats import InputError
-from rosplat_lab.bench.command import Recorder, circumstances, follow
-from rosplat_lab.bench.plan import FULL_BUDGET, QUICK_BUDGET, Plan
+from rosplat_lab.bench.command import Recorder, circumstances
+from rosplat_lab.bench.plan import Plan
 from rosplat_lab.bench.records import Record, RecordError, load
 from rosplat_lab.lab import atlas, measure, pages, picture, report
 
@@ -49,19 +49,16 @@ def main(arguments: list[str] | None = None) -> int:
         for name in options.scenes:
             check_scene(name)
         make_folder(options.out)
-        console = Console() if sys.stderr.isatty() else Console(width=150)
-        plan = Plan(
-            out=options.out, quick=options.quick,
-            budget=QUICK_BUDGET if options.quick else FULL_BUDGET,
-        )  # fmt: skip
+        console = Console()
+        plan = Plan(out=options.out, quick=options.quick)
         here = circumstances("lab", arguments)
         if options.part in ("all", "chart"):
             names = options.scenes or usual_scenes(options.quick)
-            recorder = Recorder("lab", options.out / "lab.json", here)
-            follow(measure.measure(plan, names, options.out / "strips"), recorder, "lab", console)
+            events = measure.measure(plan, names, options.out / "strips")
+            Recorder("lab", options.out / "lab.json", here).follow(events, console)
         if options.part in ("all", "atlas"):
             recorder = Recorder("atlas", options.out / "atlas.json", here)
-            follow(atlas.measure(plan), recorder, "atlas", console)
+            recorder.follow(atlas.measure(plan), console)
         _write(options.out, options.docs, keep=options.part != "pages")
     except (InputError, RecordError, RuntimeError, OSError, MemoryError) as error:
         print(f"lab: {told(error)}", file=sys.stderr)

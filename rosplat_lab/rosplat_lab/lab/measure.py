@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -22,15 +22,21 @@ from PIL import Image
 from rosplat_core.cameras import Camera
 from rosplat_core.rendering import psnr_of
 from rosplat_core.splats import Splats
-from rosplat_lab.bench import embedded, scenes, truths
+from rosplat_lab.bench import scenes, truths
 from rosplat_lab.bench.isolation import isolated
 from rosplat_lab.bench.plan import Plan
-from rosplat_lab.bench.records import Doing, Event, Measurement, Skipped, milliseconds
-from rosplat_lab.bench.renderers import RENDERERS, CpuRenderer, DisplayRenderer, Ours
+from rosplat_lab.bench.records import (
+    Doing,
+    Event,
+    Measurement,
+    Skipped,
+    in_a_row,
+    milliseconds,
+)  # fmt: skip
+from rosplat_lab.bench.renderers import RENDERERS, CpuRenderer, DisplayRenderer, Ours, accelerated
 from rosplat_lab.lab import moving, orders
-from rosplat_lab.lab.ways import MODEL, OURS, WHOLE, WINDOW, Way, counted, maps, ways
+from rosplat_lab.lab.ways import ERROR, MODEL, OURS, TIME, WHOLE, WINDOW, Way, counted, maps, ways
 
-TIME, ERROR = "frame", "PSNR"  # names of what is measured
 PICTURE, QUICK_PICTURE = (1280, 720), (160, 90)
 VIEWS = ((scenes.overview, 0.0), (scenes.inside, 0.0), (scenes.overview, 2.5), (scenes.inside, 2.5))
 """Cameras, and by how much they are turned around the scene. [rad]"""
@@ -40,7 +46,6 @@ SLOW = 2.0  # a way that takes longer for all views has two passes, of one pictu
 SETTLED = 0.01  # by how much the error of levels may still change from picture to picture
 MOST_SETTLING = 60  # most pictures until a budget is kept
 MOVING_SPLATS = 200_000  # scenes with fewer are drawn in time whatever moves
-MOVING = "the camera turns by 20 deg/s"
 STRIP_WIDTH = 320  # of the pictures in the report [px]
 ERROR_GAIN = 16  # differences are white at a 16th of the way from black to white
 
@@ -63,13 +68,8 @@ def measure(plan: Plan, names: Sequence[str], strips: Path) -> Iterator[Event]:
     from rviz_gaussian_plugin.offscreen import ensure_display
 
     with ensure_display():
-        (drawing,) = isolated(embedded.hardware)
-        card = isinstance(drawing, Measurement) and "llvmpipe" not in drawing.gpu
-        for number, name in enumerate(names):
-            for event in _scene(plan, name, strips, card):
-                if isinstance(event, Doing):
-                    event = replace(event, part=(number + event.part) / len(names))
-                yield event
+        card = accelerated()
+        yield from in_a_row([partial(_scene, plan, name, strips, card) for name in names])
 
 
 def _scene(plan: Plan, name: str, strips: Path, card: bool) -> Iterator[Event]:
@@ -77,7 +77,7 @@ def _scene(plan: Plan, name: str, strips: Path, card: bool) -> Iterator[Event]:
     looks = [partial(_camera, number, picture) for number in range(len(VIEWS))]
     yield Doing(f"{name}: reference", 0.0)
     told = truths.draw(name, looks)
-    yield from isolated(_drawn, plan, name, told, strips)
+    yield from isolated(_drawn, plan, name, looks, told, strips)
     yield from _models(name, looks, told, strips)
     if not card:  # a card has each picture in time
         yield from _moving(plan, name)
@@ -88,11 +88,12 @@ def _camera(number: int, picture: tuple[int, int], splats: Splats) -> Camera:
     return view(splats, *picture, 2, turn)[-1] if turn else view(splats, *picture, 1)[0]
 
 
-def _drawn(plan: Plan, name: str, told: list[truths.Truth], strips: Path) -> Iterator[Event]:
+def _drawn(
+    plan: Plan, name: str, looks: Sequence[truths.Look], told: list[truths.Truth], strips: Path
+) -> Iterator[Event]:
     """Measures all ways that have a time. Needs a process of its own."""
     splats = scenes.load(name)
-    picture = QUICK_PICTURE if plan.quick else PICTURE
-    cameras = [_camera(number, picture, splats) for number in range(len(VIEWS))]
+    cameras = [look(splats) for look in looks]
     display = DisplayRenderer()
     wanted = [way for way in ways(splats, display.accelerated, plan.quick) if not way.model]
     made: dict[str, Splats] = {}
@@ -110,13 +111,13 @@ def _drawn(plan: Plan, name: str, told: list[truths.Truth], strips: Path) -> Ite
             part = 0.4 + 0.5 * (number + index / len(found)) / passes
             yield Doing(f"{name}, {way.setting}, pass {number + 1} of {passes}", part)
             try:
-                stage.measure(measured, told)
+                first = stage.measure(measured, told)
             except (ImportError, RuntimeError, ValueError) as error:
                 yield Skipped(f"{name}, {way.setting}: {error}")
                 measured.done = True
                 continue
             if number == 0:
-                save_strip(strip(strips, name, way.setting), stage.first, told[0])
+                save_strip(strip(strips, name, way.setting), first, told[0])
             slow = sum(measured.times) / 1e3 * len(cameras) > SLOW
             measured.done = slow and len(measured.times) > 1
     for measured in found:
@@ -124,17 +125,15 @@ def _drawn(plan: Plan, name: str, told: list[truths.Truth], strips: Path) -> Ite
             yield from _measurements(name, len(splats), stage.device, measured)
 
 
-def _measurements(
-    name: str, count: int, device: str, measured: Measured
-) -> Iterator[Measurement]:  # fmt: skip
+def _measurements(name: str, count: int, device: str, measured: Measured) -> Iterator[Measurement]:
     way = measured.way
     labels: dict[str, Any] = {
         "scene": Path(name).name, "splats": count, "gpu": device, "setting": way.setting,
         "family": way.family, "aside": way.aside,
     }  # fmt: skip
     if measured.times and way.aside != MODEL:
-        yield Measurement.of(TIME, "ms", measured.times, **labels)
-    yield Measurement.of(ERROR, "dB", measured.errors, **labels, **measured.facts)
+        yield Measurement(TIME, "ms", measured.times, **labels)
+    yield Measurement(ERROR, "dB", measured.errors, **labels, **measured.facts)
 
 
 class Stage:
@@ -145,58 +144,45 @@ class Stage:
     ) -> None:
         self._plan, self._cameras, self._maps, self._display = plan, cameras, made, display
         self._on_display = ""  # name of the map that the display holds
-        self._renderers: dict[str, Any] = {}
+        self._renderers: dict[tuple[str, str], Any] = {}
         self._details: dict[tuple[str, int], str] = {}
         self._sorter = orders.Sorter(made[WHOLE])
-        self.first: NDArray[np.float32]  # what is compared of the first view
-        cpu = CpuRenderer().device
-        self.device = display.device if display.accelerated else cpu
+        self.device = display.device if display.accelerated else CpuRenderer().device
 
-    def measure(self, measured: Measured, told: list[truths.Truth]) -> None:
-        """Adds a pass. Raises RuntimeError where something else was drawn than asked for."""
+    def measure(self, measured: Measured, told: list[truths.Truth]) -> NDArray[np.float32]:
+        """Adds a pass; returns what is compared of the first view.
+
+        Raises RuntimeError where something else was drawn than asked for.
+        """
         way = measured.way
         renderer = self._renderer(way)
-        squares, drawn, first = [], 0, []
-        for number, truth in enumerate(told):
+        shown, drawn, first = [], 0, []
+        for number in range(len(told)):
             first.append(self._draw(renderer, way, number))
-            shown = self._shown(renderer, way)
-            if number == 0:
-                self.first = shown
-            squares.append(np.square(shown - np.clip(truth, 0, 1)))
+            shown.append(self._shown(renderer, way))
             drawn += getattr(renderer, "report", {}).get("splats", 0)
-        times: list[list[float]] = [[] for _ in self._cameras]
         slow = sum(first) > 1e3 * SLOW
-        warm, end = (
-            perf_counter() + WARM_UP,
-            perf_counter() + WARM_UP + self._plan.budget.seconds / 8,
-        )
-        while not slow and (perf_counter() < end or not times[0]):
+        cycles = [first] if slow else []
+        warm = perf_counter() + WARM_UP
+        end = warm + self._plan.budget.seconds / 8
+        while not slow and (perf_counter() < end or not cycles):
             cycle = [self._draw(renderer, way, number) for number in range(len(told))]
             if perf_counter() > warm:
-                for of_view, took in zip(times, cycle, strict=True):
-                    of_view.append(took)
-        errors = [psnr_of(float(square.mean())) for square in squares]
-        measured.times.append(
-            float(np.mean(first if slow else [np.median(of_view) for of_view in times]))
-        )
-        measured.errors.append(psnr_of(float(np.mean(squares))))
-        measured.facts = {
-            "worst_view": min(errors), "worst_pixel": math.sqrt(max(s.max() for s in squares)),
-            "drawn": drawn // len(told),
-        }  # fmt: skip
+                cycles.append(cycle)
+        measured.times.append(float(np.mean(np.median(cycles, axis=0))))
+        error, measured.facts = _errors(shown, told, drawn // len(told))
+        measured.errors.append(error)
+        return shown[0]
 
     def _renderer(self, way: Way) -> Any:
         """What draws a way, with the way's map."""
-        if way.by in RENDERERS:
-            if way.by not in self._renderers:
-                self._renderers[way.by] = RENDERERS[way.by]()
-                self._renderers[way.by].set_map(self._maps[way.map])
-            return self._renderers[way.by]
-        if way.by == OURS and not self._display.accelerated:
-            if way.map not in self._renderers:
-                self._renderers[way.map] = CpuRenderer()
-                self._renderers[way.map].set_map(self._maps[way.map])
-            renderer = self._renderers[way.map]
+        on_processor = way.by == OURS and not self._display.accelerated
+        if on_processor or way.by in RENDERERS:
+            key = way.by, way.map
+            if key not in self._renderers:
+                self._renderers[key] = CpuRenderer() if on_processor else RENDERERS[way.by]()
+                self._renderers[key].set_map(self._maps[way.map])
+            renderer = self._renderers[key]
         else:
             renderer = self._display
             if self._on_display != way.map:
@@ -250,8 +236,21 @@ class Stage:
         return self._details[key]
 
 
+def _errors(
+    shown: Sequence[NDArray[np.float32]], told: Sequence[truths.Truth], drawn: int
+) -> tuple[float, dict[str, Any]]:
+    """PSNR of all views' pixels together [dB], and facts. drawn: splats in a view, on average."""
+    pairs = zip(shown, told, strict=True)
+    squares = [np.square(picture - np.clip(truth, 0, 1)) for picture, truth in pairs]
+    return psnr_of(float(np.mean(squares))), {
+        "worst_view": min(psnr_of(float(square.mean())) for square in squares),
+        "worst_pixel": math.sqrt(max(float(square.max()) for square in squares)),
+        "drawn": drawn,
+    }
+
+
 def _models(
-    name: str, looks: Sequence[Callable[[Splats], Camera]], told: list[truths.Truth], strips: Path
+    name: str, looks: Sequence[truths.Look], told: list[truths.Truth], strips: Path
 ) -> Iterator[Event]:
     """The errors of models, which are drawn in NumPy."""
     splats = scenes.load(name)
@@ -259,13 +258,9 @@ def _models(
         if way.model:
             yield Doing(f"{name}, {way.setting}: a model", 0.9)
             drawn = [np.clip(picture, 0, 1) for picture in truths.draw(name, looks, way.model)]
-            pairs = zip(drawn, told, strict=True)
-            squares = [np.square(picture - np.clip(truth, 0, 1)) for picture, truth in pairs]
             save_strip(strip(strips, name, way.setting), drawn[0], told[0])
-            errors = [psnr_of(float(square.mean())) for square in squares]
-            worst = math.sqrt(max(float(s.max()) for s in squares))
-            facts = {"worst_view": min(errors), "worst_pixel": worst, "drawn": len(splats)}
-            found = Measured(way, [], [psnr_of(float(np.mean(squares)))], facts)
+            error, facts = _errors(drawn, told, len(splats))
+            found = Measured(way, [], [error], facts)
             yield from _measurements(name, len(splats), "NumPy", found)
 
 
@@ -275,23 +270,10 @@ def _moving(plan: Plan, name: str) -> Iterator[Event]:
     count = len(scenes.load(name))
     if count < MOVING_SPLATS and not plan.quick:
         return
-    details = {"Full": "full", counted(count // 4): f"{count // 4}"}
-    for text, detail in details.items():
+    for text, detail in {"Full": "full", counted(count // 4): f"{count // 4}"}.items():
         setting = f"Detail: {text}, while turning"
-        yield Doing(f"{name}, {setting}, {MOVING}", 0.95)
-        found: dict[str, list[Measurement]] = {}
-        for motion in moving.VIEWS:
-            for event in isolated(moving.in_motion, name, plan.quick, motion, detail):
-                if isinstance(event, Measurement):
-                    found.setdefault(event.name, []).append(event)
-        labels: dict[str, Any] = {
-            "scene": Path(name).name, "splats": count, "gpu": found["PSNR in motion"][0].gpu,
-            "setting": setting, "family": "in motion", "aside": MOVING,
-        }  # fmt: skip
-        times = [float(np.median(m.samples)) for m in found["painting in motion"]]
-        errors = [float(10 ** (-m.samples[0] / 10)) for m in found["PSNR in motion"]]
-        yield Measurement.of(TIME, "ms", np.mean(times), **labels)
-        yield Measurement.of(ERROR, "dB", psnr_of(float(np.mean(errors))), **labels)
+        yield Doing(f"{name}, {setting}, {moving.MOVING}", 0.95)
+        yield from isolated(moving.in_motion, name, plan.quick, setting, detail)
 
 
 # --- Small pictures -------------------------------------------------------------------------------

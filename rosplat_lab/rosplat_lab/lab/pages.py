@@ -15,9 +15,9 @@ from PIL import Image
 from rosplat_core.program.files import write_below
 from rosplat_lab.bench.records import Record
 from rosplat_lab.lab.atlas import CASES
-from rosplat_lab.lab.atlas.stage import PROCESSOR, SHADERS
 from rosplat_lab.lab.picture import STYLE, charted, named, where
-from rosplat_lab.lab.points import Point, for_decibels, frontier, points, verdict
+from rosplat_lab.lab.points import Point, by_scene, for_decibels, frontier, points, verdict
+from rosplat_lab.lab.stage import PROCESSOR, SHADERS
 
 MADE = "<!-- Made by `make lab DOCS=docs`, from here to the end. -->\n\n"
 ACCURACY, STABILITY = "# Error against time\n\n", "# Where methods fail\n\n"
@@ -46,14 +46,9 @@ def write(docs: Path, lab: Kept, atlas: Kept) -> list[Path]:
 def _accuracy(lab: Kept) -> list[str]:
     lines = []
     for kind, records in lab.items():
-        found = points(records)
-        scenes = list(dict.fromkeys(p.scene for p in found))
-        lines += [
-            f"## {'A graphics card' if kind == 'card' else 'Two cores'}",
-            "",
-            _run(records, kind),
-            "",
-        ]
+        scenes = by_scene(points(records))
+        title = "A graphics card" if kind == "card" else "Two cores"
+        lines += [f"## {title}", "", _run(records, kind), ""]
         for here in charted(records):
             best = frontier(here)
             lines += [f"| {here[0].scene}, {here[0].splats:,} splats | ms | dB | worst view |",
@@ -65,17 +60,13 @@ def _accuracy(lab: Kept) -> list[str]:
         lines += ["Bold is the frontier. The fastest setting by what is asked for:", ""]
         lines += ["| | " + " | ".join(f"{least} dB" for least in TARGETS) + " |"]
         lines += ["|---|" + "---|" * len(TARGETS)]
-        for scene in scenes:
-            here = [p for p in found if p.scene == scene]
+        for here in scenes:
             cells = [_answer(for_decibels(here, least)) for least in TARGETS]
-            lines += [f"| {scene}, {here[0].splats:,} | {' | '.join(cells)} |"]
-        lines += [""]
-        for scene in scenes:
-            here = [p for p in found if p.scene == scene]
-            lines += [f"- {scene}: the default is {verdict(here)}."]
-        aside = [p for p in found if p.aside and p.scene == scenes[0]]
+            lines += [f"| {here[0].scene}, {here[0].splats:,} | {' | '.join(cells)} |"]
+        lines += ["", *(f"- {h[0].scene}: the default is {verdict(h)}." for h in scenes)]
+        aside = [p for p in scenes[0] if p.aside]
         lines += ["", "Not held against these: " + "; ".join(map(_aside, aside)) + ".", ""]
-        moving = [p for p in found if p.family == "in motion" and p.scene != scenes[0]]
+        moving = [p for here in scenes[1:] for p in here if p.family == "in motion"]
         if moving:
             of = f"{moving[0].scene}, {moving[0].splats:,} splats"
             lines += [f"While the camera turns, {of}: " + "; ".join(map(_aside, moving)) + ".", ""]

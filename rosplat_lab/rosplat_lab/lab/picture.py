@@ -18,7 +18,7 @@ from matplotlib.transforms import Bbox
 
 from rosplat_core.program.files import make_folder
 from rosplat_lab.bench.records import Record
-from rosplat_lab.lab.points import Point, frontier, points
+from rosplat_lab.lab.points import Point, by_scene, frontier, points
 from rosplat_lab.lab.ways import DEFAULT
 
 STYLE: Any = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False,
@@ -74,9 +74,7 @@ def write(folder: Path, kept: Mapping[str, Sequence[Record]]) -> Path:
 
 def charted(records: Sequence[Record]) -> list[list[Point]]:
     """The points of each charted scene that are held against each other."""
-    found = [p for p in points(records) if p.ms is not None and not p.aside]
-    scenes = list(dict.fromkeys(p.scene for p in found))[:CHARTED]
-    return [[p for p in found if p.scene == scene] for scene in scenes]
+    return by_scene(p for p in points(records) if p.ms is not None and not p.aside)[:CHARTED]
 
 
 def named(here: Sequence[Point]) -> list[Point]:

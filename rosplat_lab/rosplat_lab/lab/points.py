@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rosplat_lab.bench.records import Record
-from rosplat_lab.lab.measure import ERROR, TIME
-from rosplat_lab.lab.ways import DEFAULT
+from rosplat_lab.lab.ways import DEFAULT, ERROR, TIME
 
 LEAST_NOISE = 0.02  # least part of a time: repeated runs may agree by chance
 LEAST_GAIN = 0.5  # smaller differences nobody sees [dB]
@@ -57,6 +56,14 @@ def points(records: Sequence[Record]) -> list[Point]:
             )
         )  # fmt: skip
     return found
+
+
+def by_scene(found: Iterable[Point]) -> list[list[Point]]:
+    """The points of each scene, in their order."""
+    scenes: dict[str, list[Point]] = {}
+    for point in found:
+        scenes.setdefault(point.scene, []).append(point)
+    return list(scenes.values())
 
 
 def _key(record: Record) -> tuple[object, ...]:

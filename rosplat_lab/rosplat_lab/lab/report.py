@@ -14,7 +14,7 @@ from rosplat_core.program.files import write_text
 from rosplat_lab.bench.records import Record
 from rosplat_lab.lab.measure import ERROR_GAIN, strip
 from rosplat_lab.lab.picture import COLOURS, where
-from rosplat_lab.lab.points import frontier, points
+from rosplat_lab.lab.points import by_scene, frontier, points
 
 MOST_STRIPS = 4_000_000  # the report stays below 5 MB [bytes]
 
@@ -24,14 +24,12 @@ def write(folder: Path, kept: Mapping[str, Sequence[Record]]) -> Path:
     in folder/strips."""
     charts, size = [], 0
     for records in kept.values():
-        found = points(records)
-        for scene in dict.fromkeys(p.scene for p in found):
-            here = [p for p in found if p.scene == scene]
+        for here in by_scene(points(records)):
             best = frontier(here)
             rows = []
             for point in here:
                 row = asdict(point) | {"front": point in best}
-                path = strip(folder / "strips", scene, point.setting)
+                path = strip(folder / "strips", point.scene, point.setting)
                 # The strips are of this machine, and are embedded as long as they fit.
                 if (
                     path.exists()
@@ -42,7 +40,7 @@ def write(folder: Path, kept: Mapping[str, Sequence[Record]]) -> Path:
                     size += len(encoded)
                     row["strip"] = f"data:image/webp;base64,{encoded}"
                 rows.append({k: round(v, 5) if isinstance(v, float) else v for k, v in row.items()})
-            title = f"{scene}, {here[0].splats:,} splats: {where(records)}"
+            title = f"{here[0].scene}, {here[0].splats:,} splats: {where(records)}"
             charts.append({"title": title, "points": rows})
     runs = dict.fromkeys(f"{r.command}: {r.machine}, commit {r.commit}" for all_of in kept.values()
                          for r in all_of)  # fmt: skip

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -14,12 +14,13 @@ from rosplat_core.cameras import Camera
 from rosplat_core.models import Model
 from rosplat_core.rendering import batches
 from rosplat_core.simplification.search import Simplification
-from rosplat_core.splats import Splats
+from rosplat_core.splats import Splats, concatenate
 from rosplat_lab.bench.renderers import RENDERERS
+from rosplat_lab.bench.scenes import turned
 from rosplat_lab.bench.truths import Draw
 from rosplat_lab.lab import orders, viewers
-from rosplat_lab.lab.motion import turned
 
+TIME, ERROR = "frame", "PSNR"  # names of what is measured
 DEFAULT = "the defaults"
 # Why a way is not held against others.
 MODEL = "a model"
@@ -35,7 +36,6 @@ MODELS = {Model.EWA: "EWA", Model.EWA_ANTIALIASED: "EWA Antialiased", Model.RAY:
 WHOLE = "whole"
 MOST_SIMPLIFIED = 1_000_000  # splats that `simplify` is tried with
 REFIT_MINUTES, QUICK_REFIT_MINUTES = 0.5, 0.02
-ARRAYS = [field.name for field in fields(payload.Arrays)]
 TURNING = np.radians(30)  # of a camera with late orders [rad/s]
 
 
@@ -140,29 +140,20 @@ def maps(splats: Splats, quick: bool) -> Iterator[tuple[str, Splats]]:
         work.splats = merged
 
 
-def quantised(splats: Splats) -> Splats:
-    """The splats as they arrive, batch by batch, if a publisher's compression is quantised."""
+def quantised(splats: Splats, always: bool = False) -> Splats:
+    """The splats as they arrive, batch by batch, if a publisher's compression is quantised.
+
+    always: in one batch, however far apart its splats are.
+    """
     parts = []
-    for part in batches(splats):
-        arrays, usable = arrays_of(splats, part), np.ones(part.stop - part.start, bool)
-        if payload.suits(arrays, usable):
-            sent = payload.encode(arrays, usable)
-            arrays = payload.decode(sent, len(usable), splats.sh_degree)
-        parts.append(arrays)
-    return joined(splats, parts)
-
-
-def arrays_of(splats: Splats, part: slice) -> payload.Arrays:
-    """The arrays of a part of splats, as a payload takes them."""
-    return payload.Arrays(*(getattr(splats, name)[part] for name in ARRAYS))
-
-
-def joined(splats: Splats, parts: Sequence[payload.Arrays]) -> Splats:
-    """The splats with other arrays, which come in parts."""
-    whole: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS
-    }
-    return replace(splats, **whole)
+    for part in [slice(None)] if always else batches(splats):
+        sent = splats[part]
+        usable = np.ones(len(sent), bool)
+        if always or payload.suits(sent, usable):
+            came = payload.decode(payload.encode(sent, usable), len(sent), sent.sh_degree)
+            sent = replace(sent, **vars(came))
+        parts.append(sent)
+    return concatenate(parts)
 
 
 def _late(sorter: orders.Sorter, camera: Camera, seconds: float) -> orders.Order:

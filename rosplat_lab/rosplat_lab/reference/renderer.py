@@ -84,20 +84,20 @@ def blended(
     """The crop of a picture of projected splats, nearest first. Alpha below min_alpha is not
     drawn."""
     left, top, right, bottom = crop
-    rgba = np.zeros((bottom - top, right - left, 4))
-    depth, median = np.full((2, bottom - top, right - left), np.nan)
-    for y, x, members in _tiles(projected, left, top, right, bottom):
-        ys = np.arange(y, min(y + TILE, bottom))
-        xs = np.arange(x, min(x + TILE, right))
-        opaque = None if scene_depth is None else scene_depth[np.ix_(ys, xs)]
-        tile_rgba, weighted_z, middle = _blend(
-            projected[members], xs, ys, (min_alpha, max_alpha), min_transmittance, opaque
-        )
-        window = np.s_[y - top : y - top + len(ys), x - left : x - left + len(xs)]
-        rgba[window] = tile_rgba
-        alpha = tile_rgba[..., 3]
-        np.divide(weighted_z, alpha, out=depth[window], where=alpha > 0)
-        median[window] = middle
+    shape = bottom - top, right - left
+    rgba, weighted_z, median = np.zeros((*shape, 4)), np.zeros(shape), np.full(shape, np.nan)
+    values = np.column_stack([projected.colors, np.ones(len(projected.slots))])
+    for window, members, weights, depths in _contributed(
+        projected, crop, (min_alpha, max_alpha), min_transmittance, scene_depth
+    ):
+        half = rgba[window][..., 3] + np.cumsum(weights, axis=0) >= 0.5
+        crossed = np.isnan(median[window]) & half.any(axis=0)
+        first = np.take_along_axis(depths, half.argmax(axis=0)[None], axis=0)[0]
+        median[window] = np.where(crossed, first, median[window])
+        rgba[window] += np.tensordot(weights, values[members], axes=(0, 0))
+        weighted_z[window] += (weights * depths).sum(axis=0)
+    alpha, depth = rgba[..., 3], np.full(shape, np.nan)
+    np.divide(weighted_z, alpha, out=depth, where=alpha > 0)
     return Picture(rgba, depth, median)
 
 
@@ -109,7 +109,7 @@ def pick(splats: Splats, camera: Camera) -> tuple[NDArray[np.int64], Array]:
     """
     slots = np.full((camera.height, camera.width), -1)
     most = np.zeros(slots.shape)
-    for window, seen, weights in _contributed(splats, camera):
+    for window, seen, weights in _seen(splats, camera):
         best = weights.argmax(axis=0)
         contribution = np.take_along_axis(weights, best[None], axis=0)[0]
         more = contribution > most[window]
@@ -126,7 +126,7 @@ def contributions(splats: Splats, camera: Camera) -> tuple[Array, Array, Array]:
     a picture for each splat.
     """
     weights, energies = np.zeros(len(splats)), np.zeros(len(splats))
-    for _, slots, of_pixels in _contributed(splats, camera):
+    for _, slots, of_pixels in _seen(splats, camera):
         weights[slots] += of_pixels.sum(axis=(1, 2))
         energies[slots] += (of_pixels**2).sum(axis=(1, 2))
     whole = render(splats, camera).rgba[..., :3]
@@ -140,23 +140,46 @@ def contributions(splats: Splats, camera: Camera) -> tuple[Array, Array, Array]:
 def dealt(splats: Splats, camera: Camera, values: Array) -> Array:
     """Deals values (height, width) of pixels to splats, (n,), by what each contributes."""
     sums = np.zeros(len(splats))
-    for window, slots, weights in _contributed(splats, camera):
+    for window, slots, weights in _seen(splats, camera):
         sums[slots] += (weights * values[window]).sum(axis=(1, 2))
     return sums
 
 
-def _contributed(
+def _seen(
     splats: Splats, camera: Camera
-) -> Iterator[tuple[tuple[NDArray[np.intp], ...], NDArray[np.intp], Array]]:
-    """Yields for each part of the picture its rows and columns, slots (n,), nearest first, and what
+) -> Iterator[tuple[tuple[slice, slice], NDArray[np.intp], Array]]:
+    """Yields for each part of a picture its rows and columns, slots (n,), nearest first, and what
     each contributes (n, h, w): alpha times the transmittance before."""
     projected = project(splats, camera)
     projected = projected[_front_to_back(projected, None, len(splats))]
-    for y, x, members in _tiles(projected, 0, 0, camera.width, camera.height):
-        ys = np.arange(y, min(y + TILE, camera.height))
-        xs = np.arange(x, min(x + TILE, camera.width))
-        for part, weights, _ in _weights(projected[members], xs, ys, (MIN_ALPHA, MAX_ALPHA), 0.0):
-            yield np.ix_(ys, xs), projected.slots[members[part]], weights
+    crop = 0, 0, camera.width, camera.height
+    for window, members, weights, _ in _contributed(projected, crop, (MIN_ALPHA, MAX_ALPHA), 0.0):
+        yield window, projected.slots[members], weights
+
+
+def _contributed(
+    projected: Projected,
+    crop: tuple[int, int, int, int],
+    alphas: tuple[float, float],
+    min_transmittance: float,
+    opaque: Array | None = None,
+) -> Iterator[tuple[tuple[slice, slice], NDArray[np.intp], Array, Array]]:
+    """Yields rows and columns of each tile of a crop, and parts of the splats in it, nearest first;
+    what each adds to each pixel (n, h, w), and at what depth [m].
+
+    alphas: the least alpha that is drawn, and the most that a splat has. opaque: (height, width)
+    depths beyond which centres of splats are hidden [m].
+    """
+    left, top, right, bottom = crop
+    for y, x, members in _tiles(projected, left, top, right, bottom):
+        ys = np.arange(y, min(y + TILE, bottom))
+        xs = np.arange(x, min(x + TILE, right))
+        window = np.s_[y - top : y - top + len(ys), x - left : x - left + len(xs)]
+        hiding = None if opaque is None else opaque[np.ix_(ys, xs)]
+        for part, weights, depths in _weights(
+            projected[members], xs, ys, alphas, min_transmittance, hiding
+        ):
+            yield window, members[part], weights, depths
 
 
 def _front_to_back(
@@ -197,29 +220,6 @@ def _tiles(
             yield top + y * TILE, left + x * TILE, splat[members]
 
 
-def _blend(
-    splats: Projected,
-    xs: NDArray[np.intp],
-    ys: NDArray[np.intp],
-    alphas: tuple[float, float],
-    min_transmittance: float,
-    opaque: Array | None,
-) -> tuple[Array, Array, Array]:
-    """Blends splats, nearest first: (h, w, 4) premultiplied RGBA, (h, w) weights * z, median z."""
-    values = np.column_stack([splats.colors, np.ones(len(splats.slots))])
-    blended = np.zeros((len(ys), len(xs), 4))
-    weighted_z = np.zeros((len(ys), len(xs)))
-    median = np.full((len(ys), len(xs)), np.nan)
-    for part, weights, depths in _weights(splats, xs, ys, alphas, min_transmittance, opaque):
-        half = blended[..., 3] + np.cumsum(weights, axis=0) >= 0.5
-        crossed = np.isnan(median) & half.any(axis=0)
-        first = np.take_along_axis(depths, half.argmax(axis=0)[None], axis=0)[0]
-        median[crossed] = first[crossed]
-        blended += np.tensordot(weights, values[part], axes=(0, 0))
-        weighted_z += (weights * depths).sum(axis=0)
-    return blended, weighted_z, median
-
-
 def _weights(
     splats: Projected,
     xs: NDArray[np.intp],
@@ -228,12 +228,7 @@ def _weights(
     min_transmittance: float,
     opaque: Array | None = None,
 ) -> Iterator[tuple[slice, Array, Array]]:
-    """Yields parts of the splats, nearest first, and (n, h, w) what each adds to each pixel, and
-    at what depth [m].
-
-    alphas: the least alpha that is drawn, and the most that a splat has. opaque: (h, w) depths
-    beyond which centres of splats are hidden [m].
-    """
+    """As _contributed, of one tile: parts of the splats in it, weights and depths."""
     min_alpha, max_alpha = alphas
     transmittance = np.ones((len(ys), len(xs)))
     for start in range(0, len(splats.slots), CHUNK):

@@ -20,7 +20,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.client import Client
 from tqdm import tqdm
 
 from rosplat_core.cameras import Camera, load_cameras, picture_of
@@ -31,10 +30,9 @@ from rosplat_core.program.output import say, told
 from rosplat_core.scenes import NAMES, check_scene
 from rosplat_core.splats import InputError
 from rosplat_lab.metrics import LEAST_SIDE, compare
-from rosplat_lab.programs import ASK_AGAIN, Programs
+from rosplat_lab.programs import Programs
 from rosplat_msgs.srv import RenderView
 from rosplat_ros.program.processes import Processes, quoted
-from rosplat_ros.view_cameras import view_camera
 from rosplat_sorter.backends import BACKENDS
 
 START_TIMEOUT = 120.0  # since the map was last seen to be loaded, sent or received further [s]
@@ -77,10 +75,9 @@ def render(
         else:
             settings = ["-p", "serve:=true", "-p", f"order_source:={source.lower()}"]
             programs.node("rviz_gaussian_plugin", "viewer", *settings)
-        client = programs.asker.create_client(RenderView, "gaussians/render")
-        _wait_for_map(programs, client, cameras[0])
+        _wait_for_map(programs, cameras[0])
         for camera in tqdm(cameras, "drawing", unit="picture", disable=None):
-            answer = _call(programs, client, camera, ORDER_TIMEOUT, detail)
+            answer = _drawn(programs, camera, ORDER_TIMEOUT, detail)
             pixels = np.frombuffer(answer.color.data, np.float32)
             on_picture(camera, pixels.reshape(camera.height, camera.width, 4), answer)
         for warning in programs.warnings(PUBLISHER):
@@ -117,13 +114,13 @@ Visualization Manager:
 """
 
 
-def _wait_for_map(programs: Programs, client: Client, camera: Camera) -> None:
+def _wait_for_map(programs: Programs, camera: Camera) -> None:
     """Waits until the renderer has all of the map, and its last edits."""
     changed = time.monotonic()
     seen, complete = (-1, ""), False
     while not complete or time.monotonic() - changed < SETTLED:
         small = Camera(**(vars(camera) | {"width": 16, "height": 16}))
-        answer = _call(programs, client, small, 0.0)
+        answer = _drawn(programs, small, 0.0)
         complete = answer.map_complete
         progress = (answer.revision, programs.last_line(PUBLISHER))
         if progress != seen:  # it grows, or is read: be patient
@@ -133,14 +130,11 @@ def _wait_for_map(programs: Programs, client: Client, camera: Camera) -> None:
         time.sleep(0.1)
 
 
-def _call(
-    programs: Programs, client: Client, camera: Camera, order_timeout: float, detail: str = "full"
+def _drawn(
+    programs: Programs, camera: Camera, order_timeout: float, detail: str = "full"
 ) -> RenderView.Response:
-    request = RenderView.Request(
-        camera=view_camera(camera), order_timeout=order_timeout, detail=detail
-    )
     complaint = f"camera {camera.id}: the renderer has not answered"
-    answer = programs.call(client, request, complaint, order_timeout + ASK_AGAIN)
+    answer = programs.picture(camera, complaint, order_timeout, detail)
     if not answer.success:
         raise RenderError(f"camera {camera.id}: {answer.message}")
     return answer
