@@ -104,9 +104,11 @@ def align(
     picture: RGB (height, width, 3), uint8 or 0 to 1. mask: (height, width), true for pixels that
     count. tries: how many, each begun on a finer level, as the coarsest may lead astray. patience:
     time after which no other try begins [s]. To align several pictures with the same splats, keep a
-    CpuRenderer. Raises ValueError for an orthographic camera, and for a picture or mask of another
-    size.
+    CpuRenderer. Raises ValueError for an orthographic camera, for a picture or mask of another
+    size, and for less than one try.
     """
+    if tries < 1:
+        raise ValueError(f"tries is {tries}, expected 1 or more")
     renderer = scene if isinstance(scene, CpuRenderer) else CpuRenderer(scene)
     colours, counts = _checked(picture, camera, mask)
     reduction = -(-max(camera.width, camera.height) // LONGEST_SIDE)
@@ -533,7 +535,8 @@ class _Search:
         if self._last is None:
             return None
         step, moved = _solved(self._last, NEWTON_DAMPING)
-        self._apply_step(step)
+        self._pose = self._pose @ motion(step[:6])
+        self._exposure = self._exposure + step[6:].reshape(3, 2)
         return moved
 
     def _search(self, level: _Level, pixels: MapPixels) -> float | None:
@@ -555,10 +558,6 @@ class _Search:
                 break
         self._pose, self._exposure = self._pose @ move, exposure
         return _length(start, np.concatenate([move[:3, 3], _turn(move)]))
-
-    def _apply_step(self, step: Array) -> None:
-        self._pose = self._pose @ motion(step[:6])
-        self._exposure = self._exposure + step[6:].reshape(3, 2)
 
     def result(self) -> Alignment:
         """The result on the finest level."""
@@ -587,10 +586,7 @@ class _Search:
         )
 
     def _world_to_camera(self) -> Array:
-        inverse = np.eye(4)
-        inverse[:3, :3] = self._pose[:3, :3].T
-        inverse[:3, 3] = -inverse[:3, :3] @ self._pose[:3, 3]
-        return inverse
+        return np.asarray(np.linalg.inv(self._pose), np.float64)
 
     def _turned(self, covariance: Array) -> Array:
         """A step's covariance (6, 6) about the map's axes."""

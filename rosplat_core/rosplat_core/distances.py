@@ -56,7 +56,8 @@ class DistanceField:
         """The field of a map. pose: (4, 4) of the map in the field's frame [m].
 
         margin: width of the part around the surfaces that has distances [m]. filled: closed hollows
-        are inside. Raises InputError for a map without surfaces, or too large for the resolution.
+        are inside. Raises InputError for a map without surfaces, or too large for the resolution,
+        and for a resolution or a margin that makes no sense.
         """
         pose = rigid(np.eye(4) if pose is None else pose, "pose")
         voxels = occupied_by(splats, pose, resolution)
@@ -78,6 +79,8 @@ class DistanceField:
         heights: between which z distances are wanted [m]. light: least share of the light that an
         occupied voxel takes away.
         """
+        if not 0 <= margin < np.inf:
+            raise InputError(f"margin is {margin:g} m, expected 0 or more")
         surface = voxels.surface(depth_of(light))
         cells = surface["cells"].astype(np.int64)
         points, normals = (surface[name].astype(np.float64) for name in ("positions", "normals"))

@@ -53,7 +53,12 @@ def depth_of(absorbed: float) -> float:
 
 
 def voxels_across(size: float, resolution: float) -> int:
-    """Voxels along each axis of a cube of a size [m], even. Raises InputError above MOST_ACROSS."""
+    """Voxels along each axis of a cube of a size [m], even.
+
+    Raises InputError above MOST_ACROSS, and for a resolution that no voxel has.
+    """
+    if not 0 < resolution < math.inf:
+        raise InputError(f"resolution is {resolution:g} m, expected more than 0")
     across = 2 * math.ceil(size / resolution / 2)
     if across > MOST_ACROSS:
         raise InputError(
