@@ -24,9 +24,10 @@ from rosplat_core.formats.bounds import naming_the_file
 from rosplat_core.formats.strangers import impostor
 from rosplat_core.log_text import shown
 from rosplat_core.program.files import write_text
-from rosplat_core.quaternions import from_matrices, to_matrices
+from rosplat_core.quaternions import from_matrices
 from rosplat_core.rigid import rigid
 from rosplat_core.splats import InputError, Splats, check_kind
+from rosplat_core.view import frame_at
 
 _log = logging.getLogger(__name__)
 
@@ -252,9 +253,7 @@ def load_trajectory(path: str | Path, camera: Camera) -> list[Camera]:
             pose = []
         if len(pose) != 7 or not np.isfinite(pose).all() or not any(pose[3:]):
             raise InputError(f"{path}: line {number}: expected time x y z qx qy qz qw")
-        world_to_camera = np.eye(4)
-        world_to_camera[:3, :3] = to_matrices(pose[3:]).T
-        world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ pose[:3]
+        world_to_camera = np.asarray(np.linalg.inv(frame_at(pose[:3], pose[3:])), np.float64)
         cameras.append(replace(camera, id=len(cameras), world_to_camera=world_to_camera))
     if not cameras:
         raise InputError(f"{path}: holds no poses")

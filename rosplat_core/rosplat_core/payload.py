@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import _core
-from rosplat_core.splats import Splats
 
 QUANTISED = "quantised"
 PACKED = "packed"
@@ -30,22 +29,16 @@ class Arrays:
     sh: NDArray[np.float32]
 
 
-def size(count: int, sh_degree: int) -> int:
-    """Bytes of a quantised payload."""
-    return _core.payload_size(count, sh_degree)
+size = _core.payload_size
+"""Bytes of a quantised payload of so many splats of an SH degree."""
+suits = _core.payload_suits
+"""Whether quantised splats still look the same: no stray one makes the steps of all too large.
 
-
-def suits(arrays: Arrays | Splats, usable: NDArray[np.bool_]) -> bool:
-    """Whether quantised splats still look the same: no stray one makes the steps of all too large.
-
-    Steps of position may be 1/16 of the median splat's size, or 1/65,536 of where most splats lie.
-    """
-    return _core.payload_suits(arrays, usable)
-
-
-def encode(arrays: Arrays | Splats, usable: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """The quantised payload, uint8, of splats. usable: bool (n,), false for splats to leave out."""
-    return _core.encode_payload(arrays, usable)
+Takes Arrays, or Splats, and which of them are usable, bool (n,): others are left out. Steps of
+position may be 1/16 of the median splat's size, or 1/65,536 of where most splats lie.
+"""
+encode = _core.encode_payload
+"""The quantised payload, uint8 (size,), of the same."""
 
 
 def decode(

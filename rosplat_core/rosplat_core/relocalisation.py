@@ -26,7 +26,7 @@ from rosplat_core.alignment import (
     _reduced,
     align,
 )
-from rosplat_core.cameras import Camera
+from rosplat_core.cameras import Camera, look_at
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.splats import Splats
 
@@ -145,13 +145,8 @@ class Relocaliser:
         """(4, 4) world to camera of a place's camera, turned to what is at a shift."""
         camera = self._thumbnail
         down, right = (int(s) - margin for s, margin in zip(shift, self._margins, strict=True))
-        ray = np.array([right / camera.fx, down / camera.fy, 1.0])
-        turned = np.eye(4)
-        turned[2, :3] = ray / np.linalg.norm(ray)
-        turned[0, :3] = np.cross([0.0, 1.0, 0.0], turned[2, :3])
-        turned[0, :3] /= np.linalg.norm(turned[0, :3])
-        turned[1, :3] = np.cross(turned[2, :3], turned[0, :3])
-        return np.asarray(turned @ self._places[number])
+        ray = right / camera.fx, down / camera.fy, 1.0
+        return look_at((0.0, 0.0, 0.0), ray, (0.0, -1.0, 0.0)) @ self._places[number]
 
 
 def relocalise(

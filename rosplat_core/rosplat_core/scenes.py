@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from rosplat_core import formats
-from rosplat_core.formats import Into, IntoSplats, Made, Progress, Warn
+from rosplat_core.formats.decoded import Into, IntoSplats, Made, Progress, Warn
 from rosplat_core.generated import generate_into
 from rosplat_core.models import Model
 from rosplat_core.program.typed_numbers import whole_number

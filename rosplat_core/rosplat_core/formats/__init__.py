@@ -29,43 +29,15 @@ from rosplat_core.formats import (
     usd,
 )
 from rosplat_core.formats.bounds import naming_the_file, size_of
-from rosplat_core.formats.decoded import (
-    AS_TRAINED,
-    Axes,
-    Into,
-    IntoPacked,
-    IntoSplats,
-    Made,
-    Progress,
-    Warn,
-)
+from rosplat_core.formats.decoded import AS_TRAINED, Axes, Into, IntoSplats, Made, Progress, Warn
+from rosplat_core.formats.decoded import IntoPacked as IntoPacked
 from rosplat_core.log_text import shown
 from rosplat_core.models import Model
 from rosplat_core.program.files import replacing
 from rosplat_core.program.progress import watched
 from rosplat_core.slot_order import space_order
-from rosplat_core.splats import LONGEST_ERROR, InputError, Splats, check_splats
-
-__all__ = [
-    "FORMATS",
-    "SUFFIXES",
-    "Axes",
-    "InputError",
-    "Into",
-    "IntoPacked",
-    "IntoSplats",
-    "Made",
-    "Progress",
-    "Warn",
-    "axes",
-    "check_new_file",
-    "check_output",
-    "format_of",
-    "load",
-    "load_into",
-    "save",
-    "scene_file",
-]
+from rosplat_core.splats import LONGEST_ERROR, Splats, check_splats
+from rosplat_core.splats import InputError as InputError
 
 _log = logging.getLogger(__name__)
 

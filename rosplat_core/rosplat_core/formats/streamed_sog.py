@@ -233,30 +233,23 @@ class Pieces:
     def packed(self, file: int) -> sog.Packed:
         """A file's splats, packed. Raises as read does."""
         path = self._scene.files[file]
+
+        def go_on(_: float) -> None:
+            if self._closed:
+                raise CancelledError
+
         with naming_the_file(path), self._decoding[file]:
-            return self._find(file) or self._remember(file, self._unpack(path))
+            with self._lock:
+                found = self._kept.get(file)
+            found = found or sog.unpack(path, go_on)
+            with self._lock:
+                self._kept[file] = found
+                self._kept.move_to_end(file)
+                room = self.KEPT_BYTES - sum(kept.nbytes for kept in self._kept.values())
+                while room < 0 and len(self._kept) > 1:
+                    room += self._kept.popitem(last=False)[1].nbytes
+            return found
 
     def close(self) -> None:
         """Ends decoding, also in other threads, which get CancelledError."""
         self._closed = True
-
-    def _unpack(self, path: Path) -> sog.Packed:
-        return sog.unpack(path, lambda fraction: self._raise_if_closed())
-
-    def _raise_if_closed(self) -> None:
-        if self._closed:
-            raise CancelledError
-
-    def _find(self, file: int) -> sog.Packed | None:
-        with self._lock:
-            if file in self._kept:
-                self._kept.move_to_end(file)
-            return self._kept.get(file)
-
-    def _remember(self, file: int, packed: sog.Packed) -> sog.Packed:
-        with self._lock:
-            self._kept[file] = packed
-            room = self.KEPT_BYTES - sum(kept.nbytes for kept in self._kept.values())
-            while room < 0 and len(self._kept) > 1:
-                room += self._kept.popitem(last=False)[1].nbytes
-            return packed

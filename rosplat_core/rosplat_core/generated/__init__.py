@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rosplat_core.formats import Into, IntoSplats, Made, Progress
+from rosplat_core.formats.decoded import Into, IntoSplats, Made, Progress
 from rosplat_core.generated.garden import Garden
 from rosplat_core.generated.rooms import Rooms
 from rosplat_core.generated.surfaces import quaternions
