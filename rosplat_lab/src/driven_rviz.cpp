@@ -380,8 +380,6 @@ QJsonValue answer(const QJsonObject& request, Stopwatch& watch) {
     delete &display(request);
   } else if (what == "reset") {
     display(request).reset();
-  } else if (what == "view") {
-    manager().getViewManager()->setCurrentViewControllerType(request["class"].toString());
   } else if (what == "open add dialog") {
     for (auto* button : frame().findChildren<QPushButton*>()) {
       if (button->text() == "Add") QMetaObject::invokeMethod(button, "click", Qt::QueuedConnection);

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from rosplat_core.program import machine
+from rosplat_core.splats import InputError
 from rosplat_lab.bench.records import (
     Budget,
     Measurement,
     Record,
-    RecordError,
     load,
     save,
 )
@@ -89,7 +89,7 @@ def test_a_file_without_records_is_named(tmp_path: Path, text: str | None) -> No
     path = tmp_path / "wrong.json"
     if text is not None:
         path.write_text(text)
-    with pytest.raises(RecordError, match=r"wrong\.json"):
+    with pytest.raises(InputError, match=r"wrong\.json"):
         load([path])
 
 
@@ -97,7 +97,7 @@ def test_a_field_that_a_record_lacks_is_named(tmp_path: Path) -> None:
     path = tmp_path / "records.json"
     save(path, [Record.of("sort", Measurement("order", "ms", 1), HERE)])
     path.write_text(path.read_text().replace('"splats"', '"spalts"'))
-    with pytest.raises(RecordError, match=r"records\.json: .* record 0 lacks splats"):
+    with pytest.raises(InputError, match=r"records\.json: .* record 0 lacks splats"):
         load([path])
 
 

@@ -24,7 +24,7 @@ from rosplat_core.program.typed_numbers import number, sized
 from rosplat_core.scenes import NAMES, check_scene
 from rosplat_core.splats import InputError
 from rosplat_lab.bench.plan import GPU, PROCESSOR, Plan
-from rosplat_lab.bench.records import Doing, Event, Record, RecordError, Skipped, save
+from rosplat_lab.bench.records import Doing, Event, Record, Skipped, save
 from rosplat_lab.bench.renderers import RENDERERS
 from rosplat_lab.bench.scenes import THIN
 from rosplat_ros.program.processes import ProcessError
@@ -64,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _measure(arguments, console)
     except BrokenPipeError as error:  # of rich before 13.8
         unheard(error)
-    except (InputError, RecordError, OSError) as error:
+    except (InputError, OSError) as error:
         print(f"bench: {told(error)}", file=sys.stderr)
         return 1
 

@@ -12,13 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rosplat_core.formats.bounds import naming_the_file, refusing
 from rosplat_core.program.files import write_text
 
 Parameter = str | int | float | bool
-
-
-class RecordError(ValueError):
-    """A file that holds no records; the text says which file and why."""
 
 
 class Measurement:
@@ -128,22 +125,17 @@ def save(path: Path, records: Sequence[Record]) -> None:
 
 
 def load(paths: Iterable[Path]) -> list[Record]:
-    """The records of files, in order. Raises RecordError."""
+    """The records of files, in order. Raises InputError for one that holds none."""
     known = {entry.name for entry in fields(Record)}
     records = []
     for path in paths:
-        try:
-            entries = json.loads(path.read_text(encoding="utf-8"))
-            for number, entry in enumerate(entries):
+        with naming_the_file(path), refusing(f"{path}: holds no records of a benchmark"):
+            for number, entry in enumerate(json.loads(path.read_text(encoding="utf-8"))):
                 if not isinstance(entry, dict):
                     raise ValueError(f"record {number} is no object")
                 if lacking := known - entry.keys():
                     raise ValueError(f"record {number} lacks {', '.join(sorted(lacking))}")
                 records.append(Record(**{name: entry[name] for name in known}))
-        except OSError as error:
-            raise RecordError(f"{path}: {error.strerror or error}") from error
-        except (ValueError, TypeError, AttributeError, RecursionError) as error:
-            raise RecordError(f"{path}: holds no records of a benchmark: {error}") from error
     return records
 
 

@@ -192,14 +192,12 @@ def inlays() -> Splats:
 
 def _scene(*parts: tuple[list[ArrayLike], ArrayLike, ArrayLike]) -> Splats:
     """Of parts: x, y and z, scales, and how bright they are."""
-    places = [np.stack(place, axis=1) for place, _, _ in parts]
+    places, scales, values = [], [], []
+    for where, scale, value in parts:
+        places.append(np.stack(where, axis=1))
+        scales.append(np.broadcast_to(scale, places[-1].shape))
+        values.append(np.broadcast_to(value, len(places[-1])))
     count = sum(map(len, places))
-    scales = [
-        np.broadcast_to(part[1], place.shape) for part, place in zip(parts, places, strict=True)
-    ]
-    values = [
-        np.broadcast_to(part[2], len(place)) for part, place in zip(parts, places, strict=True)
-    ]
     sh = np.repeat((np.concatenate(values) - 0.5) / C0, 3).reshape(count, 1, 3).astype(np.float32)
     turns, opacities = np.tile([0, 0, 0, 1.0], (count, 1)), np.full(count, 0.9)
     return Splats(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -39,6 +38,7 @@ PINNED = "order in pinned memory"
 def measure(plan: Plan) -> Iterator[Event]:
     """Times of HOST and PINNED by scene, view and method."""
     names = scenes.names(plan.sizes or (QUICK_SIZES if plan.quick else SIZES), plan.scenes)
+    methods = _methods(plan.backends)
     unavailable: set[str] = set()
     for number, name in enumerate(names):
         yield Doing(f"{name}: loading", number / len(names))
@@ -48,55 +48,53 @@ def measure(plan: Plan) -> Iterator[Event]:
             kind: [view_of(c, splats) for c in scenes.VIEWS[kind](splats, *PICTURE, STEPS)]
             for kind in VIEWS
         }
-        makers = methods(sorted_map, plan.backends)
-        for index, (method, make) in enumerate(makers):
+        for index, (method, (backend, threads)) in enumerate(methods.items()):
             if method in unavailable:
                 continue
-            yield Doing(f"{name}: {method}", (number + index / len(makers)) / len(names))
+            yield Doing(f"{name}: {method}", (number + index / len(methods)) / len(names))
             try:
-                ways = make()
+                label, ways = _opened(sorted_map, backend, threads)
             except (Unavailable, ImportError, RuntimeError, MemoryError) as error:
                 unavailable.add(method)
                 yield Skipped(f"{method}: {str(error).splitlines()[0]}")
                 continue
-            for way in ways:
+            for quantity, sort in ways.items():
                 for kind, seen in views.items():
-                    yield _timed(plan, name, sorted_map, way, kind, seen)
+                    visible, times = _timed(plan, name, sorted_map, quantity, label, sort, seen)
+                    yield Measurement(
+                        quantity, "ms", times, name, len(splats),
+                        method=label, view=kind, visible=visible,
+                    )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Way:
-    """One way to sort."""
-
-    quantity: str
-    label: str
-    sort: Callable[[SortView], NDArray[np.uint32]]
+Sort = Callable[[SortView], NDArray[np.uint32]]
 
 
-def methods(
-    sorted_map: SplatMap, backends: Sequence[str]
-) -> list[tuple[str, Callable[[], list[Way]]]]:
-    """By name, functions that make the ways. backends: of the sorter; empty: all."""
-    found: list[tuple[str, Callable[[], list[Way]]]] = []
+def _methods(backends: Sequence[str]) -> dict[str, tuple[str, int]]:
+    """Backends and their threads, 0 for as many as there are, by what they are called.
+
+    backends: of the sorter; empty: all. Raises InputError for an unknown one.
+    """
+    found: dict[str, tuple[str, int]] = {}
     for name in backends or tuple(BACKENDS):
         if name in (GPU, PROCESSOR):
             continue  # the viewer's, which `frame` measures
         if name not in BACKENDS:
             raise InputError(f"unknown backend '{name}', known are {', '.join(BACKENDS)}")
         if name == "native" and len(os.sched_getaffinity(0)) > 1:
-            found.append(("native, 1 thread", partial(_ours, sorted_map, name, 1)))
-        found.append((name, partial(_ours, sorted_map, name, 0)))
+            found["native, 1 thread"] = name, 1
+        found[name] = name, 0
     return found
 
 
-def _ours(sorted_map: SplatMap, name: str, threads: int) -> list[Way]:
+def _opened(sorted_map: SplatMap, name: str, threads: int) -> tuple[str, dict[str, Sort]]:
+    """A backend's label, and its ways to sort, by the quantity that is measured."""
     backend = open_backend(name, threads)
     backend.update(sorted_map, slice(0, sorted_map.rows))
-    label = f"{name}, {backend.device}"
-    ways = [Way(HOST, label, partial(backend.order, allocate=InTurn(new_array)))]
+    ways: dict[str, Sort] = {HOST: partial(backend.order, allocate=InTurn(new_array))}
     if BACKENDS[name].gpu and backend.device != "CPU":
-        ways.append(Way(PINNED, label, partial(backend.order, allocate=InTurn(_pinned(name)))))
-    return ways
+        ways[PINNED] = partial(backend.order, allocate=InTurn(_pinned(name)))
+    return f"{name}, {backend.device}", ways
 
 
 class InTurn:
@@ -131,21 +129,18 @@ def _pinned(name: str) -> Allocate:
 
 
 def _timed(
-    plan: Plan, scene: str, sorted_map: SplatMap, way: Way, kind: str, views: list[SortView]
-) -> Measurement:
-    """Raises AssertionError where a backend's order is not the reference's."""
-    if way.quantity == HOST:
-        expected = depth.order(views[0], sorted_map.positions, sorted_map.extents)
-        if not np.array_equal(way.sort(views[0]), expected):
-            raise AssertionError(f"{scene}: {way.label} is not the exact order")
-    visible = np.count_nonzero(depth.visible(views[0], sorted_map.positions, sorted_map.extents))
-    times = plan.budget.spend(
-        lambda index: milliseconds(lambda: way.sort(views[index % len(views)]))
-    )
-    return Measurement(
-        way.quantity, "ms", times, scene, sorted_map.splats,
-        method=way.label, view=kind, visible=int(visible),
-    )  # fmt: skip
+    plan: Plan, scene: str, sorted_map: SplatMap, quantity: str, label: str, sort: Sort,
+    views: list[SortView],
+) -> tuple[int, list[float]]:  # fmt: skip
+    """How many splats the first view sees, and times [ms].
+
+    Raises AssertionError where a backend's order is not the reference's.
+    """
+    expected = depth.order(views[0], sorted_map.positions, sorted_map.extents)
+    if quantity == HOST and not np.array_equal(sort(views[0]), expected):
+        raise AssertionError(f"{scene}: {label} is not the exact order")
+    times = plan.budget.spend(lambda index: milliseconds(lambda: sort(views[index % len(views)])))
+    return len(expected), times
 
 
 def map_of(splats: Splats) -> SplatMap:

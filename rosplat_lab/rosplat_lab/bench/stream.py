@@ -189,7 +189,9 @@ class Watched(Programs):
         before = done = self._work()
         revision = self._revision
         self.still: list[float] = []
-        while (now := time.monotonic()) - changed < SETTLED or not self._at_rest():
+        while (now := time.monotonic()) - changed < SETTLED or (
+            "at rest:" not in self.last_line("publisher")
+        ):
             if now - began > PATIENCE:
                 raise RuntimeError(f"not at rest after {PATIENCE:.0f} s")
             self.still.append(self.render(camera))
@@ -204,9 +206,6 @@ class Watched(Programs):
 
     def _work(self) -> dict[str, float]:
         return {name: machine.processor_seconds(run.pid) for name, run in self._programs.items()}
-
-    def _at_rest(self) -> bool:
-        return "at rest:" in self.last_line("publisher")
 
 
 def _truth(scene: Streamed, camera: Camera) -> Array:

@@ -22,7 +22,7 @@ from rosplat_core.scenes import NAMES, PROCEDURAL, check_scene
 from rosplat_core.splats import InputError
 from rosplat_lab.bench.command import Recorder, circumstances
 from rosplat_lab.bench.plan import Plan
-from rosplat_lab.bench.records import Record, RecordError, load
+from rosplat_lab.bench.records import Record, load
 from rosplat_lab.lab import atlas, measure, pages, picture, report
 
 TRAINED = ("playbot", "wolf.spz")  # in $ROSPLAT_DATA
@@ -60,7 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
             recorder = Recorder("atlas", options.out / "atlas.json", here)
             recorder.follow(atlas.measure(plan), console)
         _write(options.out, options.docs, keep=options.part != "pages")
-    except (InputError, RecordError, RuntimeError, OSError, MemoryError) as error:
+    except (InputError, RuntimeError, OSError, MemoryError) as error:
         print(f"lab: {told(error)}", file=sys.stderr)
         return 1
     return 0
@@ -103,7 +103,7 @@ def _write(out: Path, docs: Path | None, keep: bool) -> None:
     if written:
         say(f"wrote {', '.join(map(str, written))}")
     elif not keep:
-        raise RecordError(f"{out / 'lab.json'}: no such file")
+        raise InputError(f"{out / 'lab.json'}: no such file")
 
 
 def kind_of(records: Sequence[Record]) -> str:

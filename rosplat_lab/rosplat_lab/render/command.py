@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from rosplat_core.cameras import Camera, load_cameras, picture_of
+from rosplat_core.formats.bounds import naming_the_file
 from rosplat_core.models import Model
 from rosplat_core.program.files import make_folder, replacing, write_text
 from rosplat_core.program.machine import commit, machine
@@ -179,10 +180,8 @@ def read_picture(path: Path) -> NDArray[np.float64]:
 
 
 def _pixels(path: Path) -> NDArray[np.unsignedinteger]:
-    try:
+    with naming_the_file(path):
         data = np.frombuffer(path.read_bytes(), np.uint8)
-    except (OSError, ValueError) as error:  # ValueError: no name of a file
-        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
     pixels = cv2.imdecode(data, flags) if len(data) else None
     if pixels is None:
