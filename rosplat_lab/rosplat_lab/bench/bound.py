@@ -25,7 +25,8 @@ ELEVATIONS = (0.0, 0.3, 0.6, 0.9)  # of orbits around a scene [rad]
 
 
 def measure(plan: Plan) -> Iterator[Event]:
-    """PSNR of most views, of all, of the worst: printed, in HELD new ones, and in HELD others.
+    """What most views reach, all together and the worst have: as simplify prints it, in HELD new
+    views, and in HELD others. [dB]
 
     New ones are of the kind that the search looks from. The others are orbits that show the whole
     scene, or turns within rooms. Where a path is given, the search has its odd cameras, and the

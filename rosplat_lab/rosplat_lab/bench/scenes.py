@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rosplat_core.cameras import Camera, Place, look_at, orbit, place
+from rosplat_core.cameras import Camera, look_at, orbit, place
 from rosplat_core.generated import rooms
 from rosplat_core.harmonics import C0
 from rosplat_core.scenes import PROCEDURAL, ROOMS, load_scene
@@ -40,16 +41,32 @@ def all_of_it(splats: Splats, width: int, height: int, count: int) -> list[Camer
     return orbit(bounds, turns, width=width, height=height)[:count]
 
 
-def overview(
-    splats: Splats, width: int, height: int, count: int, step: float = STEP
-) -> list[Camera]:
-    """The bulk of the scene fills the picture, as the embedded viewer begins."""
-    return _around(place(splats), 2.5, 0.35, 45, width, height, count, step)
+def _around(
+    distance: float, elevation: float, fov: float,
+    splats: Splats, width: int, height: int, count: int, step: float = STEP,
+) -> list[Camera]:  # fmt: skip
+    """Cameras at a distance in radii, looking at the centre; fov: height of the picture [deg]."""
+    here = place(splats)
+    focal = 0.5 * height / math.tan(math.radians(fov / 2))
+    level, up = math.cos(elevation), math.sin(elevation)
+    cameras = []
+    for index in range(count):
+        turn = 0.6 + index * step
+        outward = np.array([level * math.cos(turn), level * math.sin(turn), up])
+        eye = here.centre + distance * here.radius * outward
+        cameras.append(
+            Camera(
+                index, width, height, focal, focal, width / 2, height / 2,
+                look_at(eye, here.centre), near=0.001 * here.radius,
+            )
+        )  # fmt: skip
+    return cameras
 
 
-def inside(splats: Splats, width: int, height: int, count: int, step: float = STEP) -> list[Camera]:
-    """From within the scene, where much of it is beside or behind the camera."""
-    return _around(place(splats), 0.6, 0.3, 60, width, height, count, step)
+overview = partial(_around, 2.5, 0.35, 45)
+"""The bulk of the scene fills the picture, as the embedded viewer begins."""
+inside = partial(_around, 0.6, 0.3, 60)
+"""From within the scene, where much of it is beside or behind the camera."""
 
 
 def room(splats: Splats, width: int, height: int, count: int) -> list[Camera]:
@@ -112,32 +129,6 @@ def _turning(
         ahead = [distance * math.cos(turn), distance * math.sin(turn), down]
         transform = look_at(eye, np.add(eye, ahead))
         cameras.append(Camera(index, width, height, focal, focal, width / 2, height / 2, transform))
-    return cameras
-
-
-def _around(
-    here: Place, distance: float, elevation: float, fov: float,
-    width: int, height: int, count: int, step: float,
-) -> list[Camera]:  # fmt: skip
-    """Cameras at a distance in radii, looking at the centre; fov: height of the picture [deg]."""
-    focal = 0.5 * height / math.tan(math.radians(fov / 2))
-    cameras = []
-    for index in range(count):
-        turn = 0.6 + index * step
-        outward = np.array(
-            [
-                math.cos(elevation) * math.cos(turn),
-                math.cos(elevation) * math.sin(turn),
-                math.sin(elevation),
-            ]
-        )
-        eye = here.centre + distance * here.radius * outward
-        cameras.append(
-            Camera(
-                index, width, height, focal, focal, width / 2, height / 2,
-                look_at(eye, here.centre), near=0.001 * here.radius,
-            )
-        )  # fmt: skip
     return cameras
 
 
