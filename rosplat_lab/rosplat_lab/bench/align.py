@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from rosplat_core.alignment import Alignment, align, motion
 from rosplat_core.cameras import Camera, place
+from rosplat_core.quaternions import from_matrices
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.scenes import ROOMS
 from rosplat_lab.bench import scenes
@@ -131,9 +131,11 @@ def _off(found: Alignment, camera: Camera) -> tuple[float, float, float]:
     """Errors of rotation [degrees] and translation [m]; their square by the covariance."""
     pose = np.linalg.inv(found.world_to_camera)
     along = pose[:3, 3] - camera.position
-    turn = Rotation.from_matrix(pose[:3, :3] @ camera.camera_to_world[:3, :3].T).as_rotvec()
+    *axis, cosine = from_matrices(pose[:3, :3] @ camera.camera_to_world[:3, :3].T)
+    turn = 2 * np.sign(cosine) * np.array(axis)  # as a rotation vector: it is small
     error = np.concatenate([along, turn])
     square = math.inf
     if found.converged:
         square = float(error @ np.linalg.solve(found.covariance, error))
-    return math.degrees(np.linalg.norm(turn)), float(np.linalg.norm(along)), square
+    sine = min(float(np.linalg.norm(axis)), 1.0)
+    return math.degrees(2 * math.asin(sine)), float(np.linalg.norm(along)), square

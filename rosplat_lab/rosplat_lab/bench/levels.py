@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -40,29 +40,20 @@ DRAWERS: dict[str, Callable[[], Ours]] = {"processor": CpuRenderer, "card": Disp
 
 def measure(plan: Plan) -> Iterator[Event]:
     """Building and repairing levels; frames in full and of a budget; popping."""
+    from rviz_gaussian_plugin.offscreen import ensure_display
+
     sizes = plan.sizes or ((QUICK_SIZES if plan.quick else SIZES) if not plan.scenes else ())
     picture = QUICK_PICTURE if plan.quick else PICTURE
     length = QUICK_PATH if plan.quick else PATH
-    with _drawers(plan) as drawers:
+    if unknown := set(plan.variants) - DRAWERS.keys():
+        known = ", ".join(DRAWERS)
+        raise InputError(f"unknown variant '{unknown.pop()}', known are {known}")
+    with nullcontext() if set(plan.variants) == {"processor"} else ensure_display():
+        drawers = plan.variants or (tuple(DRAWERS) if accelerated() else ("processor",))
         jobs = [(name, which) for name in scenes.names(sizes, plan.scenes) for which in drawers]
         for number, (name, which) in enumerate(jobs):
             yield Doing(f"{name}, {which}", number / len(jobs))
             yield from isolated(_scene, name, which, picture, length, plan.budget)
-
-
-@contextmanager
-def _drawers(plan: Plan) -> Iterator[Sequence[str]]:
-    """The drawers that this machine has, or those asked for, with a display to draw on."""
-    from rviz_gaussian_plugin.offscreen import ensure_display
-
-    if unknown := set(plan.variants) - DRAWERS.keys():
-        known = ", ".join(DRAWERS)
-        raise InputError(f"unknown variant '{unknown.pop()}', known are {known}")
-    if set(plan.variants) == {"processor"}:
-        yield plan.variants
-        return
-    with ensure_display():
-        yield plan.variants or (tuple(DRAWERS) if accelerated() else ("processor",))
 
 
 def _scene(
