@@ -215,7 +215,7 @@ SplatCloud::SplatCloud(const std::string& name, const std::string& resource_grou
 // The clouds of the view that Ogre is drawing, of which there is one at a time. Their pictures
 // begin before Ogre draws anything. The first entry of a turn that Ogre comes to draws for all
 // clouds.
-class SplatCloud::View : public Ogre::SceneManager::Listener {
+class SplatCloud::OgreView : public Ogre::SceneManager::Listener {
  public:
   void postFindVisibleObjects(Ogre::SceneManager* manager,
                               Ogre::SceneManager::IlluminationRenderStage,
@@ -252,18 +252,18 @@ class SplatCloud::View : public Ogre::SceneManager::Listener {
   std::vector<std::vector<SplatCloud*>> picked_;  // the groups of the last pick
 };
 
-SplatCloud::View& SplatCloud::view() {
-  static auto* const view = new View;  // scene managers may end after all statics
+SplatCloud::OgreView& SplatCloud::ogreView() {
+  static auto* const view = new OgreView;  // scene managers may end after all statics
   return *view;
 }
 
-SplatCloud::~SplatCloud() { view().forget(this); }
+SplatCloud::~SplatCloud() { ogreView().forget(this); }
 
 void SplatCloud::_notifyAttached(Ogre::Node* parent, bool is_tag_point) {
   MovableObject::_notifyAttached(parent, is_tag_point);
   if (const auto* node = dynamic_cast<Ogre::SceneNode*>(parent)) {
-    node->getCreator()->removeListener(&view());  // not twice
-    node->getCreator()->addListener(&view());
+    node->getCreator()->removeListener(&ogreView());  // not twice
+    node->getCreator()->addListener(&ogreView());
   }
 }
 
@@ -302,7 +302,7 @@ Ogre::Real SplatCloud::QueueEntry::getSquaredViewDepth(const Ogre::Camera*) cons
 }
 
 bool SplatCloud::QueueEntry::preRender(Ogre::SceneManager* manager, Ogre::RenderSystem*) {
-  view().draw(turn_, *manager);
+  ogreView().draw(turn_, *manager);
   return false;
 }
 
@@ -352,7 +352,7 @@ std::optional<Layer<Drawer*>> SplatCloud::enterMouseTool(Ogre::Viewport* viewpor
 
 // --- A view --------------------------------------------------------------------------------------
 
-std::vector<SplatCloud*> SplatCloud::View::cloudsIn(Ogre::SceneManager& manager) {
+std::vector<SplatCloud*> SplatCloud::OgreView::cloudsIn(Ogre::SceneManager& manager) {
   std::vector<SplatCloud*> clouds;
   // In the schemes of rviz's mouse tools the entries are solids.
   for (const Ogre::RenderablePass& object :
@@ -366,7 +366,7 @@ std::vector<SplatCloud*> SplatCloud::View::cloudsIn(Ogre::SceneManager& manager)
   return clouds;
 }
 
-std::vector<Ogre::RenderablePass> SplatCloud::View::translucentIn(Ogre::SceneManager& manager) {
+std::vector<Ogre::RenderablePass> SplatCloud::OgreView::translucentIn(Ogre::SceneManager& manager) {
   auto found =
       listed(*manager.getRenderQueue()->getQueueGroup(Ogre::RENDER_QUEUE_MAIN), true, false);
   const auto is_entry = [](const Ogre::RenderablePass& object) {
@@ -376,16 +376,16 @@ std::vector<Ogre::RenderablePass> SplatCloud::View::translucentIn(Ogre::SceneMan
   return found;
 }
 
-bool SplatCloud::View::anyOpaque(Ogre::SceneManager& manager) {
+bool SplatCloud::OgreView::anyOpaque(Ogre::SceneManager& manager) {
   const auto& queues = manager.getRenderQueue()->_getQueueGroups();
   return std::any_of(&queues[0], &queues[kRenderQueue], [](const auto& queue) {
     return queue && !listed(*queue, false, true).empty();
   });
 }
 
-void SplatCloud::View::postFindVisibleObjects(Ogre::SceneManager* manager,
-                                              Ogre::SceneManager::IlluminationRenderStage,
-                                              Ogre::Viewport* viewport) {
+void SplatCloud::OgreView::postFindVisibleObjects(Ogre::SceneManager* manager,
+                                                  Ogre::SceneManager::IlluminationRenderStage,
+                                                  Ogre::Viewport* viewport) {
   groups_.clear();
   done_.reset();
   divided_ = false;
@@ -396,7 +396,7 @@ void SplatCloud::View::postFindVisibleObjects(Ogre::SceneManager* manager,
   forEach([&](Group& group) { group.picture.begin(canvasOf(*viewport)); });
 }
 
-void SplatCloud::View::draw(Turn turn, Ogre::SceneManager& manager) {
+void SplatCloud::OgreView::draw(Turn turn, Ogre::SceneManager& manager) {
   if (done_ && turn <= *done_) return;
   Ogre::Viewport& viewport = *manager.getCurrentViewport();
   if (!showsScene(viewport)) {
@@ -411,7 +411,7 @@ void SplatCloud::View::draw(Turn turn, Ogre::SceneManager& manager) {
   done_ = turn;
 }
 
-void SplatCloud::View::group(Enter enter, Ogre::Viewport* viewport) {
+void SplatCloud::OgreView::group(Enter enter, Ogre::Viewport* viewport) {
   groups_.clear();
   for (SplatCloud* cloud : clouds_) {
     try {
@@ -430,7 +430,7 @@ void SplatCloud::View::group(Enter enter, Ogre::Viewport* viewport) {
   }
 }
 
-void SplatCloud::View::forEach(const std::function<void(Group&)>& act) {
+void SplatCloud::OgreView::forEach(const std::function<void(Group&)>& act) {
   const auto fails = [&act](Group& group) {
     try {
       act(group);
@@ -444,7 +444,7 @@ void SplatCloud::View::forEach(const std::function<void(Group&)>& act) {
 }
 
 // In kBehind if there are translucent objects, else in kBefore.
-void SplatCloud::View::drawAll(Turn turn, Ogre::SceneManager& manager) {
+void SplatCloud::OgreView::drawAll(Turn turn, Ogre::SceneManager& manager) {
   const Ogre::Viewport& viewport = *manager.getCurrentViewport();
   Surroundings around;
   if (turn != Turn::kBefore) {
@@ -469,7 +469,7 @@ void SplatCloud::View::drawAll(Turn turn, Ogre::SceneManager& manager) {
   });
 }
 
-void SplatCloud::View::drawTouched(Ogre::Viewport& viewport) {
+void SplatCloud::OgreView::drawTouched(Ogre::Viewport& viewport) {
   static std::uint32_t ticket = 0;
   const std::string& scheme = viewport.getMaterialScheme();
   const std::uint32_t handle = clouds_.front()->pick_handle_;
@@ -487,7 +487,7 @@ void SplatCloud::View::drawTouched(Ogre::Viewport& viewport) {
   for (const Group& group : groups_) picked_.push_back(group.clouds);
 }
 
-std::vector<std::pair<SplatCloud*, Pick>> SplatCloud::View::takePicks() {
+std::vector<std::pair<SplatCloud*, Pick>> SplatCloud::OgreView::takePicks() {
   std::vector<std::pair<SplatCloud*, Pick>> picks;
   for (const std::vector<SplatCloud*>& clouds : std::exchange(picked_, {})) {
     std::vector<Pick> found = clouds.front()->scene_->pick();
@@ -497,13 +497,13 @@ std::vector<std::pair<SplatCloud*, Pick>> SplatCloud::View::takePicks() {
   return picks;
 }
 
-void SplatCloud::View::forget(const SplatCloud* cloud) {
+void SplatCloud::OgreView::forget(const SplatCloud* cloud) {
   const auto has = [cloud](const std::vector<SplatCloud*>& clouds) {
     return std::find(clouds.begin(), clouds.end(), cloud) != clouds.end();
   };
   picked_.erase(std::remove_if(picked_.begin(), picked_.end(), has), picked_.end());
 }
 
-std::vector<std::pair<SplatCloud*, Pick>> SplatCloud::takePicks() { return view().takePicks(); }
+std::vector<std::pair<SplatCloud*, Pick>> SplatCloud::takePicks() { return ogreView().takePicks(); }
 
 }  // namespace rosplat

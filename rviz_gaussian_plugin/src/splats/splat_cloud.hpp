@@ -89,8 +89,8 @@ class SplatCloud : public Ogre::MovableObject {
   };
 
   // The clouds of the view that Ogre is drawing.
-  class View;
-  static View& view();
+  class OgreView;
+  static OgreView& ogreView();
 
   // Brings the map up to date for a viewport. Returns what the viewport shows of it; none if it is
   // not to be drawn, as for a while after an error.
