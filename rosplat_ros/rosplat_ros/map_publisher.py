@@ -191,8 +191,7 @@ class MapPublisher:
         PackedSplats in place, and makes them read-only. Raises ValueError if splats or
         expected_slots exceed MAX_SLOTS. If sending fails, the previous map stays and is sent again.
         """
-        if not isinstance(splats, PackedSplats):
-            check_splats(splats)
+        _check_splats(splats)
         if expected_slots is not None:
             expected_slots = _whole("expected_slots", expected_slots, GaussianArray.MAX_SLOTS)
         when = _checked_stamp(stamp)
@@ -232,8 +231,7 @@ class MapPublisher:
         MAX_SLOTS, if slots and splats differ in number, if a block holds splats of another group,
         or if the splats' model differs from the map's.
         """
-        if not isinstance(splats, PackedSplats):
-            check_splats(splats)
+        _check_splats(splats)
         when = _checked_stamp(stamp)
         slots = _checked(slots)
         group = _whole("group", group, GaussianArray.MAX_GROUPS - 1)
@@ -250,7 +248,7 @@ class MapPublisher:
         The publisher chooses slots of blocks that the group has, then of blocks that no splat uses.
         Raises ValueError, and sends nothing, where the map has no room, or as upsert.
         """
-        check_splats(splats)
+        _check_splats(splats)
         when = _checked_stamp(stamp)
         group = _whole("group", group, GaussianArray.MAX_GROUPS - 1)
         slots: NDArray[np.uint32] = self._map.append(splats, group, when)
@@ -506,6 +504,11 @@ def _checked(slots: range | ArrayLike) -> range | NDArray[np.uint32]:
     if isinstance(slots, range):
         return slots if slots else range(0)
     return slots.astype(np.uint32)
+
+
+def _check_splats(splats: Splats | PackedSplats) -> None:
+    if not isinstance(splats, PackedSplats):
+        check_splats(splats)
 
 
 def _whole(name: str, number: int, most: int) -> int:

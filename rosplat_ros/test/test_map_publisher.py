@@ -796,6 +796,8 @@ def test_a_map_may_go_on_in_its_author_s_rows(node: Node, random_splats: Maker) 
     expected[[5, 2999], 0] = other.rows[:, 7:].astype("<u4").view(np.float16)[:, :3]
     np.testing.assert_array_equal(held.sh, expected[kept])
     np.testing.assert_array_equal(held.channels["label"][5:8], [np.nan, 6, 10])
+    assert publisher.append(other).tolist() == [7, 8]
+    assert len(publisher) == 2999
 
 
 def test_a_packed_map_travels_as_it_is(
