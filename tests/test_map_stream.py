@@ -64,17 +64,19 @@ class Wire:
     """In place of a node, its topic and its services: to whom batches go, and who answers."""
 
     def __init__(self) -> None:
+        self.node = self
         self.pull: Callable[..., PullMap.Response] | None = None
         self.sent: list[GaussianArray] = []
 
     def create_publisher(self, *_: object, **__: object) -> Wire:
         return self
 
-    def serve_pulls(self, _: str, serve: Any, __: object) -> Wire:
-        self.pull = serve
+    def serve(self, kind: type, _: str, serve: Any) -> Wire:
+        if kind is PullMap:
+            self.pull = serve
         return self
 
-    def serve_repeats(self, *_: object) -> Wire:
+    def report(self, *_: object, **__: object) -> Wire:
         return self
 
     def destroy_publisher(self, _: object) -> None: ...
@@ -200,8 +202,8 @@ def test_whatever_is_lost_all_end_with_the_map(
     monkeypatch: pytest.MonkeyPatch, losses: float, chunk_bytes: int, seed: int
 ) -> None:
     monkeypatch.setattr(map_publisher, "Node", Wire)
-    monkeypatch.setattr(map_publisher, "PullServer", Wire.serve_pulls)
-    monkeypatch.setattr(map_publisher, "ServiceThread", Wire.serve_repeats)
+    monkeypatch.setattr(map_publisher, "ServiceThread", Wire.serve)
+    monkeypatch.setattr(map_publisher, "Diagnostics", Wire.report)
     random = np.random.default_rng(seed)
     wire, model = Wire(), Model()
     publisher = MapPublisher(wire, chunk_bytes=chunk_bytes)

@@ -27,11 +27,11 @@ from rosplat_core.view import frame_at
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import PullMap, RepeatMap
 from rosplat_ros.batches import array_bytes, pose_values
-from rosplat_ros.diagnostics import Report
+from rosplat_ros.diagnostics import Diagnostics, Report
 from rosplat_ros.messages import NONE, Slots, as_array
 from rosplat_ros.poses import pose_of, to_point, to_pose
-from rosplat_ros.pull_server import PullServer, ServiceThread
 from rosplat_ros.qos import PULLED_MAP, overridable
+from rosplat_ros.service_thread import ServiceThread
 
 CHUNK_BYTES = 8_000_000
 # How long `repeat` waits for a subscriber that acknowledges nothing [s]. A subscriber that is gone
@@ -111,19 +111,16 @@ class MapPublisher:
             self._map = BoundedMap(*arguments, budget)
         self._told_budget = -TELL_BUDGET_EVERY  # when the log last told its cost [s]
         self._wire.advertise()
-        pulls = PullServer(
-            node,
-            self._topic,
-            partial(_answer, self._map, self._wire),
-            partial(_report, self._map, self._wire),
-        )
+        served = self._map, self._wire
+        pulls = ServiceThread(node, PullMap, f"{self._topic}/pull", partial(_answer, *served))
         # A repeat waits for subscribers, which pull meanwhile. Its thread keeps this object until
         # the node ends.
         repeats = ServiceThread(node, RepeatMap, f"{self._topic}/repeat", self._on_repeat)
+        reports = Diagnostics(node, self._topic, partial(_report, *served), spun=pulls.node)
+        # Before Python ends, which no thread outlives. The wire first: a repeat waits no longer.
+        self._end = weakref.finalize(self, _close, self._wire, pulls, repeats, reports)
         pulls.start()
         repeats.start()
-        # Before Python ends, which no thread outlives. The wire first: a repeat waits no longer.
-        self._end = weakref.finalize(self, _close, self._wire, pulls, repeats)
 
     def close(self) -> None:
         """Ends the topic and its services. Subscribers keep what they have. No edit may follow."""
@@ -320,7 +317,7 @@ class MapPublisher:
         return response
 
 
-def _close(*parts: _Wire | ServiceThread) -> None:
+def _close(*parts: _Wire | ServiceThread | Diagnostics) -> None:
     for part in parts:
         part.close()
 
@@ -469,13 +466,11 @@ def as_message(batch: PublishedBatch, header: Header) -> GaussianArray:
         origin=to_point(batch.origin),
         groups=list(batch.poses),
         poses=[pose_of(pose[:3], pose[3:]) for pose in batch.poses.values()],
-        **{name: _as_field(getattr(batch, name)) for name in batch.FIELDS},
+        **{
+            name: as_array(value.dtype.char, value) if isinstance(value, np.ndarray) else value
+            for name, value in ((name, getattr(batch, name)) for name in batch.FIELDS)
+        },
     )
-
-
-def _as_field(value: Any) -> Any:
-    """A value as messages take it."""
-    return as_array(value.dtype.char, value) if isinstance(value, np.ndarray) else value
 
 
 def _in_short(slots: NDArray[np.uint32]) -> Slots:

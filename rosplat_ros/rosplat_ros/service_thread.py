@@ -1,4 +1,4 @@
-"""Answers a map's services and tells its diagnostics, though nobody spins its author's node."""
+"""Answers a map's services, though nobody spins its author's node."""
 
 from __future__ import annotations
 
@@ -13,11 +13,6 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
-from rosplat_msgs.srv import PullMap
-from rosplat_ros.diagnostics import Diagnostics, Report
-
-Serve = Callable[[PullMap.Request, PullMap.Response], PullMap.Response]
-
 PATIENCE = 5.0  # for the thread to end [s]
 LOOK = 0.5  # from one look at the author's node to the next [s]
 
@@ -29,7 +24,7 @@ class ServiceThread:
     """
 
     def __init__(self, node: Node, kind: type, name: str, serve: Callable[[Any, Any], Any]) -> None:
-        self._node = rclpy.create_node(
+        self.node = rclpy.create_node(
             f"_{node.get_name()}{name.replace('/', '_')}",
             namespace=node.get_namespace(),
             context=node.context,
@@ -37,14 +32,14 @@ class ServiceThread:
             start_parameter_services=False,
             enable_rosout=False,
         )
-        self._node.create_service(kind, name, serve)
+        self.node.create_service(kind, name, serve)
         self._author = node
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._node.create_timer(LOOK, self._end_with_author, clock=steady)
+        self.node.create_timer(LOOK, self._end_with_author, clock=steady)
         self._executor = SingleThreadedExecutor(context=node.context)
-        self._executor.add_node(self._node)
+        self._executor.add_node(self.node)
         self._ended = threading.Event()
-        self._ending = self._node.create_guard_condition(self._ended.set)
+        self._ending = self.node.create_guard_condition(self._ended.set)
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def start(self) -> None:
@@ -60,33 +55,20 @@ class ServiceThread:
     def _run(self) -> None:
         try:
             # spin_until_future_complete would keep a function for each callback that it ever ran.
-            while self._node.context.ok() and not self._ended.is_set():
+            while self.node.context.ok() and not self._ended.is_set():
                 self._executor.spin_once()
         except ExternalShutdownException:
             pass
         except InvalidHandle:
-            if self._node.context.ok():  # else the node ended with ROS, as it does since Kilted
+            if self.node.context.ok():  # else the node ended with ROS, as it does since Kilted
                 raise
         finally:
             self._executor.shutdown()
-            self._node.destroy_node()
+            self.node.destroy_node()
 
     def close(self) -> None:
         """Ends the service after the current answer."""
         with suppress(InvalidHandle):  # the thread has ended, or ends with ROS
             self._ending.trigger()
-        if self._thread is not threading.current_thread():
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(PATIENCE)
-
-
-class PullServer(ServiceThread):
-    """Answers a map's pulls. Its thread reports the publisher's diagnostics, too."""
-
-    def __init__(self, node: Node, topic: str, serve: Serve, report: Callable[[], Report]) -> None:
-        super().__init__(node, PullMap, f"{topic}/pull", serve)
-        self._diagnostics = Diagnostics(node, topic, report, spun=self._node)
-
-    def close(self) -> None:
-        """As of every service; ends the reports, too."""
-        super().close()
-        self._diagnostics.close()
