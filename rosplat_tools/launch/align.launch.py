@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from launch import Action, LaunchDescription
 
-from rosplat_ros.program.launching import SCENE, description, is_true, program, scene_publisher
+from rosplat_ros.program.launching import SCENE, description, program, scene_publisher
 
 ARGUMENTS = {
     "image": ("image_raw", "Topic of the camera's pictures"),
     "camera_info": ("camera_info", "Topic of its calibration"),
-    "rectified": ("false", "Whether pictures are rectified"),
+    "rectified": (False, "Whether pictures are rectified"),
     "broadcast": ("", "Frame that TF has at the refined pose; empty: none"),
     **SCENE,
     "frame_id": ("map", "Frame of the scene's coordinates"),
@@ -21,10 +23,10 @@ def generate_launch_description() -> LaunchDescription:
     return description(ARGUMENTS, _programs)
 
 
-def _programs(given: dict[str, str]) -> list[Action]:
+def _programs(given: dict[str, Any]) -> list[Action]:
     align = program(
         "rosplat_tools", "align",
         ("image_raw", given["image"]), ("camera_info", given["camera_info"]),
-        rectified=is_true(given, "rectified"), broadcast=given["broadcast"],
+        rectified=given["rectified"], broadcast=given["broadcast"],
     )  # fmt: skip
     return [align, *scene_publisher(given)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import yaml
 from ament_index_python.packages import get_package_share_directory
@@ -13,13 +14,13 @@ from launch.actions import ExecuteProcess, RegisterEventHandler
 from launch.event_handlers import OnProcessIO
 from launch.events.process import ProcessIO
 
-from rosplat_ros.program.launching import ENDS_WITH_LAUNCH, description, is_true
+from rosplat_ros.program.launching import ENDS_WITH_LAUNCH, description
 
 ARGUMENTS = {
     "topic": ("/gaussians", "Topic of the map, with its namespace"),
     "output": ("", "Folder of the bag; by default named by the date"),
     "repeat": (
-        "true",
+        True,
         "Have the map sent again once the recorder hears it; set false if the recorder starts "
         "before the map, or if the map's publisher doesn't answer TOPIC/repeat",
     ),
@@ -31,7 +32,7 @@ def generate_launch_description() -> LaunchDescription:
     return description(ARGUMENTS, _recorder)
 
 
-def _recorder(given: dict[str, str]) -> list[ExecuteProcess | RegisterEventHandler]:
+def _recorder(given: dict[str, Any]) -> list[ExecuteProcess | RegisterEventHandler]:
     topic = "/" + given["topic"].strip("/")  # rosbag2 uses full names
     exclude = "-x" if os.environ.get("ROS_DISTRO") == "humble" else "--exclude-regex"
     command = ["ros2", "bag", "record", "-a", exclude, f"(/gaussians|{topic})/(view|order)$"]
@@ -39,7 +40,7 @@ def _recorder(given: dict[str, str]) -> list[ExecuteProcess | RegisterEventHandl
     command += ["--output", given["output"]] if given["output"] else []
     recorder = _command(command)
     actions: list[ExecuteProcess | RegisterEventHandler] = [recorder]
-    if is_true(given, "repeat"):
+    if given["repeat"]:
         request = ["ros2", "service", "call", f"{topic}/repeat", "rosplat_msgs/srv/RepeatMap"]
         repeats: list[ExecuteProcess] = []  # once
 

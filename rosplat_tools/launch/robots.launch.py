@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import yaml
 from launch import LaunchDescription
 from launch.actions import GroupAction
 from launch_ros.actions import PushRosNamespace, SetParameter
 
-from rosplat_ros.program.launching import description, is_true, program, publisher, whole_number
+from rosplat_ros.program.launching import description, program, publisher
 
 ARGUMENTS = {
     "scenes": (
@@ -15,10 +17,10 @@ ARGUMENTS = {
         "The scene of each robot, by its namespace: {robot1: a.ply, robot2: town/lod-meta.json}. "
         "The map is in the frame NAMESPACE/map",
     ),
-    "max_splats": ("2000000", "The most splats of a streamed scene that a map holds"),
+    "max_splats": (2_000_000, "The most splats of a streamed scene that a map holds"),
     "compression": ("none", "How splats travel: none, or quantised for a radio"),
-    "sorter": ("false", "Start a sorter for each map, for displays whose Order Source is Sidecar"),
-    "use_sim_time": ("false", "Take the time from /clock, as a simulator gives it"),
+    "sorter": (False, "Start a sorter for each map, for displays whose Order Source is Sidecar"),
+    "use_sim_time": (False, "Take the time from /clock, as a simulator gives it"),
 }
 
 
@@ -27,17 +29,17 @@ def generate_launch_description() -> LaunchDescription:
     return description(ARGUMENTS, _robots)
 
 
-def _robots(given: dict[str, str]) -> list[GroupAction]:
+def _robots(given: dict[str, Any]) -> list[GroupAction]:
     def robot(name: str, scene: str) -> GroupAction:
-        sorter = [program("rosplat_sorter", "sorter")] if is_true(given, "sorter") else []
+        sorter = [program("rosplat_sorter", "sorter")] if given["sorter"] else []
         return GroupAction(
             [
                 PushRosNamespace(name),
-                SetParameter("use_sim_time", is_true(given, "use_sim_time")),
+                SetParameter("use_sim_time", given["use_sim_time"]),
                 publisher(
                     scene,
                     f"{name}/map",
-                    whole_number(given, "max_splats"),
+                    given["max_splats"],
                     compression=given["compression"],
                 ),
                 *sorter,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from launch import Action, LaunchDescription
 from launch.actions import GroupAction, IncludeLaunchDescription
@@ -10,7 +11,7 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import PushRosNamespace, SetRemap
 
-from rosplat_ros.program.launching import description, program, publisher, whole_number
+from rosplat_ros.program.launching import description, program, publisher
 
 FOLDER = Path(__file__).parent
 ARGUMENTS = {
@@ -19,7 +20,7 @@ ARGUMENTS = {
         "Scene file to show and to hold against the camera; empty: the map comes from elsewhere",
     ),
     "filmed": ("", "Scene file that the camera films in its place; empty: the same map"),
-    "max_splats": ("2000000", "The most splats of each streamed scene that a map holds"),
+    "max_splats": (2_000_000, "The most splats of each streamed scene that a map holds"),
 }
 
 
@@ -41,7 +42,7 @@ def generate_launch_description() -> LaunchDescription:
     return description(ARGUMENTS, _programs, GroupAction([*shown, view]))
 
 
-def _programs(given: dict[str, str]) -> list[Action]:
+def _programs(given: dict[str, Any]) -> list[Action]:
     filmed = given["filmed"]
     other = [("gaussians", "filmed/gaussians")] if filmed else []
     camera = program(
@@ -52,5 +53,5 @@ def _programs(given: dict[str, str]) -> list[Action]:
     compare = program("rosplat_tools", "compare", *pictures, attribute=True)
     if not filmed:
         return [camera, compare]
-    scene = publisher(filmed, "map", whole_number(given, "max_splats"))
+    scene = publisher(filmed, "map", given["max_splats"])
     return [GroupAction([PushRosNamespace("filmed"), scene]), camera, compare]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from launch import Action, LaunchDescription
 from launch.actions import Shutdown
@@ -12,7 +13,6 @@ from rosplat_ros.program.launching import (
     ENDS_WITH_LAUNCH,
     SCENE,
     description,
-    is_true,
     program,
     scene_publisher,
 )
@@ -26,18 +26,18 @@ ARGUMENTS = {
         "Topic of the map; those of its views, orders and pictures begin with it",
     ),
     "fixed_frame": ("", "rviz2's Fixed Frame; by default frame_id, or the configuration's: map"),
-    "sorter": ("false", "Start a sorter, for displays whose Order Source is Sidecar"),
+    "sorter": (False, "Start a sorter, for displays whose Order Source is Sidecar"),
     "backend": ("auto", "What sorts: auto, cupy, torch, native, numpy"),
     "sensors": (
-        "false",
+        False,
         "Start a simulated robot that circles the map, with an IMU and a camera; don't use it "
         "beside a real one",
     ),
     "obstacles": (
-        "false",
+        False,
         "Start occupancy with its default parameters, and show its grid",
     ),
-    "use_sim_time": ("false", "Take the time from /clock, as a bag or a simulator gives it"),
+    "use_sim_time": (False, "Take the time from /clock, as a bag or a simulator gives it"),
     "config": (
         "",
         "rviz2 configuration; by default one that shows the map, and the sensors, or else the "
@@ -56,25 +56,26 @@ def generate_launch_description() -> LaunchDescription:
     return description(ARGUMENTS, _programs)
 
 
-def _programs(given: dict[str, str]) -> list[Action]:
+def _programs(given: dict[str, Any]) -> list[Action]:
     # First: where there is no rviz2, nothing else begins.
-    programs = [_rviz(given, is_true(given, "sensors"), is_true(given, "obstacles"))]
+    programs = [_rviz(given)]
     # No publisher without a scene: beside it, displays don't hear a SLAM node's volatile one.
     programs += scene_publisher(given)
-    if is_true(given, "sorter"):
+    if given["sorter"]:
         programs.append(program("rosplat_sorter", "sorter", backend=given["backend"]))
-    if is_true(given, "sensors"):
+    if given["sensors"]:
         programs.append(program("rosplat_tools", "demo_sensors"))
-    if is_true(given, "obstacles"):
+    if given["obstacles"]:
         programs.append(program("rosplat_tools", "occupancy"))
     return [
-        SetParameter("use_sim_time", is_true(given, "use_sim_time")),
+        SetParameter("use_sim_time", given["use_sim_time"]),
         SetRemap("gaussians", given["topic"]),
         *programs,
     ]
 
 
-def _rviz(given: dict[str, str], sensors: bool, obstacles: bool) -> Node:
+def _rviz(given: dict[str, Any]) -> Node:
+    sensors, obstacles = given["sensors"], given["obstacles"]
     fixed_frame = given["fixed_frame"] or given["frame_id"]
     name = "sensors.rviz" if sensors else "obstacles.rviz" if obstacles else "rosplat.rviz"
     config = given["config"] or str(Path(__file__).parents[1] / "config" / name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 from launch import Action, LaunchContext, LaunchDescription, SomeSubstitutionsType
 from launch.actions import (
@@ -34,7 +35,7 @@ SCENE = {
         "Frame of the scene as the file has it; by default 'scene', which stands "
         "upright in the frame 'map' by a transform that is published, too",
     ),
-    "max_splats": ("2000000", "The most splats of a streamed scene that the map holds"),
+    "max_splats": (2_000_000, "The most splats of a streamed scene that the map holds"),
 }
 
 # Before the command of a program: it ends with the launch, even with one that is killed.
@@ -45,49 +46,59 @@ ENDS_WITH_LAUNCH: SomeSubstitutionsType = [
 
 
 def description(
-    arguments: Mapping[str, tuple[str, str]],
-    actions: Callable[[dict[str, str]], Iterable[Action]],
+    arguments: Mapping[str, tuple[Any, str]],
+    actions: Callable[[dict[str, Any]], Iterable[Action]],
     *before: Action,
 ) -> LaunchDescription:
     """What `ros2 launch` reads. arguments: by name the default, and what it means. actions: of the
-    arguments' values; programs among them have room for maps in Fast DDS's shared memory.
+    arguments' values, of the defaults' types; programs among them have room for maps in Fast DDS's
+    shared memory.
     """
 
     def begin(context: LaunchContext) -> list[GroupAction]:
-        given = {name: LaunchConfiguration(name).perform(context) for name in arguments}
+        given = {
+            name: _meant(name, LaunchConfiguration(name).perform(context), default)
+            for name, (default, _) in arguments.items()
+        }
         room = fast_dds_profile(context.environment)
         settings = [SetEnvironmentVariable(*each) for each in room.items()]
         return [GroupAction([*settings, *actions(given)])]
 
     declared = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
+        DeclareLaunchArgument(name, default_value=_written(default), description=text)
         for name, (default, text) in arguments.items()
     ]
     return LaunchDescription([*declared, *before, OpaqueFunction(function=begin)])
 
 
-def is_true(given: Mapping[str, str], name: str) -> bool:
-    """Whether an argument says true or 1. Raises ValueError that names the argument."""
-    value = given[name].strip().lower()
-    if value not in ("true", "1", "false", "0"):
-        raise ValueError(f"{name}: expected true or false, got '{given[name]}'")
-    return value in ("true", "1")
-
-
-def whole_number(given: Mapping[str, str], name: str) -> int:
-    """An argument's value. Raises ValueError that names the argument."""
+def _meant(name: str, text: str, default: Any) -> Any:
+    """An argument's value, of the default's type. Raises ValueError that names the argument."""
     try:
-        return int(given[name])
-    except ValueError as error:
-        raise ValueError(f"{name}: expected a whole number, got '{given[name]}'") from error
+        match default:
+            case bool():
+                return {"true": True, "1": True, "false": False, "0": False}[text.strip().lower()]
+            case int() | float():
+                return type(default)(text)
+            case list():
+                return [float(part) for part in text.replace(",", " ").split()]
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{name}: expected {_EXPECTED[type(default)]}, got '{text}'") from error
+    return text
 
 
-def number(given: Mapping[str, str], name: str) -> float:
-    """An argument's value. Raises ValueError that names the argument."""
-    try:
-        return float(given[name])
-    except ValueError as error:
-        raise ValueError(f"{name}: expected a number, got '{given[name]}'") from error
+_EXPECTED = {bool: "true or false", int: "a whole number", float: "a number", list: "numbers"}
+
+
+def _written(default: Any) -> str:
+    """A default as a user would give it."""
+    match default:
+        case bool():
+            return str(default).lower()
+        case float():
+            return f"{default:g}"
+        case list():
+            return " ".join(map(_written, default))
+    return str(default)
 
 
 def program(
@@ -110,15 +121,11 @@ def program(
     )
 
 
-def scene_publisher(given: Mapping[str, str]) -> list[Node]:
-    """The node that publishes the scene of the arguments SCENE; none without a scene.
-
-    Raises ValueError that names an argument.
-    """
+def scene_publisher(given: Mapping[str, Any]) -> list[Node]:
+    """The node that publishes the scene of the arguments SCENE; none without a scene."""
     if not given["scene"]:
         return []
-    most = whole_number(given, "max_splats")
-    return [publisher(given["scene"], given["frame_id"], most, up=given["up"])]
+    return [publisher(given["scene"], given["frame_id"], given["max_splats"], up=given["up"])]
 
 
 def publisher(scene: str, frame_id: str, max_splats: int, **parameters: object) -> Node:
