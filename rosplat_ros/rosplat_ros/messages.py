@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from array import array
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rosplat_core import payload
+from rosplat_core.splats import InputError
 
 NONE = "none"
 COMPRESSIONS = (NONE, payload.QUANTISED)
@@ -21,6 +24,15 @@ def as_array(typecode: str, values: NDArray[np.generic]) -> array[float]:
     result: array[float] = array(typecode)
     result.frombytes(np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)
     return result
+
+
+def message_class(type_name: str) -> Any:
+    """The Python class of a message, "package/msg/Name". Raises InputError where it isn't here."""
+    package, _, name = type_name.split("/")
+    try:
+        return getattr(import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError) as error:  # an older release of the package lacks some
+        raise InputError(f"{type_name} is of {package}, which isn't installed") from error
 
 
 def plain_frame(frame_id: str) -> str:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from argparse import Namespace
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -13,6 +16,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float64MultiArray
 
+from rosplat_core.splats import InputError
 from rosplat_ros.program import ros2
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import spinning
@@ -74,6 +78,15 @@ def test_what_there_is_not_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     assert "come with an installed ROS 2" in capsys.readouterr().out
     assert ros2.main(["launch", "rviz_gaussian_plugin", "view.launch.py"]) == 2
     assert "ros2: launch: it and others come with an installed" in capsys.readouterr().err
+
+
+def test_a_topic_of_a_type_that_is_not_installed_is_named() -> None:
+    graph: Any = SimpleNamespace(
+        get_topic_names_and_types=lambda: [("/odd", ["gone_msgs/msg/Gone"])],
+        get_publishers_info_by_topic=lambda topic: [],
+    )
+    with pytest.raises(InputError, match="gone_msgs/msg/Gone is of gone_msgs, which isn't install"):
+        ros2.echo_topic(graph, Namespace(topic="odd", once=True))
 
 
 def test_messages_are_lines_of_names_and_values() -> None:

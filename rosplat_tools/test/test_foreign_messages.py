@@ -158,10 +158,13 @@ def test_every_type_has_a_topic_of_its_own() -> None:
 
 
 def test_a_type_that_is_not_as_it_was_is_named() -> None:
+    def kind(name: str, *fields: str) -> Any:
+        return SimpleNamespace(TYPE=name, FIELDS=fields)
+
     with pytest.raises(InputError, match="Map is of no_such_package, which isn't installed"):
-        foreign.message_class("no_such_package/msg/Map")
+        foreign.message_of(kind("no_such_package/msg/Map"))
     with pytest.raises(InputError, match="Header has no means in this release of std_msgs"):
-        foreign.message_class("std_msgs/msg/Header", ("frame_id", "means"))
+        foreign.message_of(kind("std_msgs/msg/Header", "frame_id", "means"))
 
 
 # --- Point clouds ---------------------------------------------------------------------------------

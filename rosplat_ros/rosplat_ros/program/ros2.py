@@ -8,32 +8,24 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rclpy
-from rcl_interfaces.msg import ParameterType
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 from rosplat_core.program.output import say
+from rosplat_core.splats import InputError
+from rosplat_ros.messages import message_class
 from rosplat_ros.program.processes import ProcessError, node_command
 
 COMMANDS = ("run", "topic", "node", "param")
 ELSEWHERE = "come with an installed ROS 2; `make demo SCENE=path` shows a scene without"
 SETTLED = 1.5  # the graph is known once it stayed the same for so long [s]
 PATIENCE = 5.0  # for the first other node, and for a node's answer [s]
-VALUES = {
-    ParameterType.PARAMETER_BOOL: "bool_value",
-    ParameterType.PARAMETER_INTEGER: "integer_value",
-    ParameterType.PARAMETER_DOUBLE: "double_value",
-    ParameterType.PARAMETER_STRING: "string_value",
-    ParameterType.PARAMETER_BOOL_ARRAY: "bool_array_value",
-    ParameterType.PARAMETER_INTEGER_ARRAY: "integer_array_value",
-    ParameterType.PARAMETER_DOUBLE_ARRAY: "double_array_value",
-    ParameterType.PARAMETER_STRING_ARRAY: "string_array_value",
-}
-"""A parameter's type: the field with its value."""
 
 
 class CommandError(RuntimeError):
@@ -87,7 +79,7 @@ def list_nodes(node: Node, options: argparse.Namespace) -> None:
 
 def echo_topic(node: Node, options: argparse.Namespace) -> None:
     """Prints messages of a topic; of long arrays, how many elements there are."""
-    topic = options.topic if options.topic.startswith("/") else f"/{options.topic}"
+    topic = _full(options.topic)
     types = dict(node.get_topic_names_and_types()).get(topic)
     if not types:
         raise CommandError(f"nobody publishes {topic}")
@@ -100,8 +92,7 @@ def echo_topic(node: Node, options: argparse.Namespace) -> None:
         say(f"{text_of(message)}\n---")
         heard.append(message)
 
-    package, _, name = types[0].split("/")
-    kind = getattr(__import__(f"{package}.msg", fromlist=[name]), name)
+    kind = message_class(types[0])
     node.create_subscription(kind, topic, show, profile)
     while not (options.once and heard):
         rclpy.spin_once(node, timeout_sec=0.1)
@@ -127,11 +118,13 @@ def text_of(value: object, indent: str = "") -> str:
     return "\n".join(lines)
 
 
-def _ask(node: Node, service: type, name: str, request: object) -> object:
-    client = node.create_client(service, name)
-    if not client.wait_for_service(PATIENCE):
-        raise CommandError(f"nobody serves {name}")
-    answer = client.call_async(request)
+def _ask(node: Node, options: argparse.Namespace, method: str, *arguments: object) -> Any:
+    """What a node's parameter services answer to a method of AsyncParameterClient."""
+    name = _full(options.node)
+    client = AsyncParameterClient(node, name)
+    if not client.wait_for_services(PATIENCE):
+        raise CommandError(f"nobody serves the parameters of {name}")
+    answer = getattr(client, method)(*arguments)
     rclpy.spin_until_future_complete(node, answer, timeout_sec=PATIENCE)
     if not answer.done():
         raise CommandError(f"{name} gives no answer")
@@ -144,26 +137,21 @@ def _full(name: str) -> str:
 
 def list_parameters(node: Node, options: argparse.Namespace) -> None:
     """Prints the names of a node's parameters."""
-    name = f"{_full(options.node)}/list_parameters"
-    answer = _ask(node, ListParameters, name, ListParameters.Request())
-    say("\n".join(answer.result.names))  # type: ignore[attr-defined]
+    say("\n".join(_ask(node, options, "list_parameters").result.names))
 
 
 def get_parameter(node: Node, options: argparse.Namespace) -> None:
     """Prints the value of a node's parameter."""
-    request = GetParameters.Request(names=[options.parameter])
-    answer = _ask(node, GetParameters, f"{_full(options.node)}/get_parameters", request)
-    values = answer.values  # type: ignore[attr-defined]
-    if not values or values[0].type == ParameterType.PARAMETER_NOT_SET:
+    values = _ask(node, options, "get_parameters", [options.parameter]).values
+    value = parameter_value_to_python(values[0]) if values else None
+    if value is None:
         raise CommandError(f"{options.node} has no parameter {options.parameter}")
-    say(f"{getattr(values[0], VALUES[values[0].type])}")
+    say(f"{value}")
 
 
 def describe_parameter(node: Node, options: argparse.Namespace) -> None:
     """Prints what a node's parameter is for."""
-    request = DescribeParameters.Request(names=[options.parameter])
-    name = f"{_full(options.node)}/describe_parameters"
-    descriptors = _ask(node, DescribeParameters, name, request).descriptors  # type: ignore[attr-defined]
+    descriptors = _ask(node, options, "describe_parameters", [options.parameter]).descriptors
     if not descriptors:
         raise CommandError(f"{options.node} has no parameter {options.parameter}")
     say(f"{options.parameter}: {descriptors[0].description}")
@@ -226,7 +214,7 @@ def main(arguments: list[str] | None = None) -> int:
         node = rclpy.create_node(f"_ros2_{os.getpid()}")
         discover(node)
         options.work(node, options)
-    except CommandError as error:
+    except (CommandError, InputError) as error:
         print(f"ros2: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -29,7 +29,7 @@ from rosplat_ros.program.parameters import declare, declare_compression, declare
 from rosplat_ros.program.running import Cancelled, run_node
 from rosplat_tools.following.watched_file import WatchedFile
 from rosplat_tools.following.whole_maps import WholeMaps
-from rosplat_tools.foreign import TYPES, Foreign, MapReader, foreign, message_class
+from rosplat_tools.foreign import TYPES, Foreign, MapReader, foreign, message_of
 from rosplat_tools.latched import LatchedSubscription
 
 SHOWING = 0.1  # least time between two looks for maps to be shown [s]
@@ -76,7 +76,7 @@ class Follow(Node):
     def _subscribe(self, kind: Foreign, topic: str) -> None:
         """Hears a foreign type, in place of another that was expected on this topic."""
         try:
-            message = message_class(kind.TYPE, kind.FIELDS)
+            message = message_of(kind)
         except InputError as error:
             self._unreadable[kind.TYPE] = str(error)
             return

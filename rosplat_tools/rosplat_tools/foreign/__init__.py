@@ -20,6 +20,7 @@ from std_msgs.msg import Header
 
 from rosplat_core.formats.decoded import Warn
 from rosplat_core.splats import InputError, Splats
+from rosplat_ros.messages import message_class
 
 
 class MapReader(ABC):
@@ -67,16 +68,13 @@ def foreign(name: str) -> Foreign:
     return module
 
 
-def message_class(type_name: str, fields: tuple[str, ...] = ()) -> Any:
-    """The Python class of a message, "package/msg/Name".
+def message_of(kind: Foreign) -> Any:
+    """The Python class of a module's message.
 
-    Raises InputError where its package isn't installed, or is of a release without these fields.
+    Raises InputError where its package isn't installed, or is of a release without its fields.
     """
-    package, _, name = type_name.split("/")
-    try:
-        found = getattr(import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError) as error:  # an older release of the package lacks some
-        raise InputError(f"{type_name} is of {package}, which isn't installed") from error
-    if lacking := [field for field in fields if field not in found.get_fields_and_field_types()]:
-        raise InputError(f"{type_name} has no {', '.join(lacking)} in this release of {package}")
+    found = message_class(kind.TYPE)
+    if lacking := [name for name in kind.FIELDS if name not in found.get_fields_and_field_types()]:
+        package = kind.TYPE.partition("/")[0]
+        raise InputError(f"{kind.TYPE} has no {', '.join(lacking)} in this release of {package}")
     return found

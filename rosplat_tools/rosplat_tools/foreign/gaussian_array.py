@@ -16,7 +16,8 @@ from std_msgs.msg import Header
 
 from rosplat_core.formats.decoded import Columns, IntoSplats, Warn
 from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, concatenate, sh_coefficients
-from rosplat_tools.foreign import MapReader, message_class
+from rosplat_ros.messages import message_class
+from rosplat_tools.foreign import MapReader
 
 TYPE = "gaussian_interface/msg/GaussianArray"
 TOPIC = "gaussian_model"

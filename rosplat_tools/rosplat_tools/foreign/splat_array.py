@@ -15,8 +15,8 @@ from std_msgs.msg import Header
 
 from rosplat_core.formats.decoded import Columns, IntoSplats, Warn
 from rosplat_core.splats import MAX_SH_DEGREE, InputError, Splats, sh_coefficients
-from rosplat_ros.messages import as_array, plain_frame
-from rosplat_tools.foreign import MapReader, message_class
+from rosplat_ros.messages import as_array, message_class, plain_frame
+from rosplat_tools.foreign import MapReader
 from rosplat_tools.foreign.covariances import from_covariances, to_covariances
 
 TYPE = "gsplat_msgs/msg/SplatArray"

@@ -17,10 +17,9 @@ from std_msgs.msg import Header
 
 from rosplat_core.log_text import shown
 from rosplat_core.rendering import CpuRenderer
-from rosplat_core.splats import InputError
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import run_node
-from rosplat_tools.foreign import TYPES, foreign, message_class
+from rosplat_tools.foreign import TYPES, foreign, message_of
 from rosplat_tools.map_subscriber import MapSubscriber
 from rosplat_tools.sharing.rerun_log import RerunLog
 
@@ -32,8 +31,7 @@ class Share(Node):
 
     def __init__(self) -> None:
         super().__init__("share")
-        known = ", ".join((*TYPES, RERUN))
-        form = declare(self, "as", "point_cloud", f"The type: {known}.")
+        form = declare(self, "as", "point_cloud", "The type", choices=(*TYPES, RERUN))
         self._period = declare(
             self, "period", 1.0, "Least time between two publications. [s]", 0.05, 3600.0
         )
@@ -43,15 +41,13 @@ class Share(Node):
         if form == RERUN:
             self._log = RerunLog(address)
             self._publisher = None
-        elif form in TYPES:
+        else:
             self._kind = foreign(form)
-            self._message = message_class(self._kind.TYPE, self._kind.FIELDS)
+            self._message = message_of(self._kind)
             kept = DurabilityPolicy.TRANSIENT_LOCAL
             self._publisher = self.create_publisher(
                 self._message, self._kind.TOPIC, QoSProfile(depth=self._kind.DEPTH, durability=kept)
             )
-        else:
-            raise InputError(f"as: expected one of {known}, got '{shown(form, 40)}'")
         self._came = Event()
         self._renderer = CpuRenderer()
         self._map = MapSubscriber(self, self._renderer, self._came.set)
