@@ -10,69 +10,37 @@ import contextlib
 import os
 import sys
 import time
-from threading import Event
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from rosplat_msgs.msg import SplatOrder, ViewCamera
 from rosplat_ros import qos
 from rosplat_ros.diagnostics import Diagnostics, Report
-from rosplat_ros.map_receiver import MapReceiver
+from rosplat_ros.held_map import MapSubscriber
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import run, spinning
+from rosplat_ros.program.said_once import Throttled
 from rosplat_sorter.backends import AUTO, BACKENDS
-from rosplat_sorter.order_slots import pack
-from rosplat_sorter.worker import Answer, Worker
+from rosplat_sorter.map import SplatMap
+from rosplat_sorter.worker import Worker
 
-THROTTLE = 5.0  # least time between two lines of the log of one kind [s]
 FORGET_AFTER = 60.0  # without a view that wants an order, until the map is forgotten [s]
-WATCH_PERIOD = 1.0  # of the look for such a view [s]
 CHOICES = (AUTO, *BACKENDS)
 SETTINGS = ("backend", "threads")
 LOSSES = ("Batches dropped", "Splats dropped", "Views dropped")
 
 
-class _AtWork:
-    """What exists while views want orders: the worker, which has the map, and a subscription."""
-
-    def __init__(self, node: SorterNode, backend: str, threads: int) -> None:
-        self.worker = worker = Worker(node, backend, threads)
-        self._map = MapReceiver(node, worker.edit, busy=lambda: worker.busy, most_sh_degree=0)
-        self._spoilt = 0  # sum of the LOSSES at the last report
-        self.wanted = time.monotonic()  # when a view last wanted an order
-
-    def pull_again(self) -> None:
-        """Pulls all of the map again, after a while."""
-        self._map.pull_again()
-
-    def report(self) -> Report:
-        """Warns of a backlog, a map that isn't whole, and of losses since the last report."""
-        figures = self.worker.figures()
-        spoilt, before = sum(figures[name] for name in LOSSES), self._spoilt
-        self._spoilt = spoilt
-        if self.worker.busy:
-            return Report("more batches wait than may", figures, warns=True)
-        if spoilt > before:
-            return Report("batches, splats or views were dropped", figures, warns=True)
-        if figures["Batches missed"]:
-            return Report("the map is incomplete", figures, warns=True)
-        return Report("the map is pulled" if self._map.pulling else "sorts", figures)
-
-
 class SorterNode(Node):
     """Hears `gaussians/view`; while views want orders, `gaussians`; publishes `gaussians/order`.
 
-    No callback waits for anything: parameters are answered at once. unwanted is set once no view
-    has wanted an order for a minute; the process should then begin anew, without a map.
+    No callback waits for anything: parameters are answered at once.
     """
 
     def __init__(self) -> None:
-        self._at_work: _AtWork | None = None  # first: since Kilted, half-made nodes are destroyed
+        self._worker: Worker | None = None  # first: since Kilted, half-made nodes are destroyed
         super().__init__("sorter")
-        self._said: dict[str, float] = {}
         about = "What sorts; auto takes the fastest backend that works here"
         declare(self, "backend", AUTO, about, choices=CHOICES, changes=True)
         about = "Threads of a backend on the CPU; 0: one for each core."
@@ -82,7 +50,8 @@ class SorterNode(Node):
         self._order = self.create_publisher(
             SplatOrder, f"{topic}/order", **qos.overridable(qos.ORDER)
         )
-        self.unwanted = Event()
+        self._spoilt = 0  # sum of the LOSSES at the last report
+        self._wanted = 0.0  # when a view last wanted an order
         self._is_told = hasattr(self, "add_post_set_parameters_callback")  # since Iron
         self.add_on_set_parameters_callback(self._validate)
         if self._is_told:
@@ -93,75 +62,48 @@ class SorterNode(Node):
         Diagnostics(self, topic, self._report)
         self.get_logger().info(f"waits for a view that wants an order, on {topic}/view")
 
+    @property
+    def unwanted(self) -> bool:
+        """Whether no view has wanted an order for a minute: the process should begin anew, without
+        a map.
+        """
+        return bool(self._worker) and time.monotonic() - self._wanted > FORGET_AFTER
+
     def destroy_node(self) -> None:
-        if self._at_work:
-            self._at_work.worker.close()
+        if self._worker:
+            self._worker.close()
         super().destroy_node()
 
     def _on_view(self, message: ViewCamera) -> None:
         if not message.sequence:
             return  # no order is wanted
-        if not self._at_work:
-            self._at_work = _AtWork(self, *(self.get_parameter(name).value for name in SETTINGS))
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self.create_timer(WATCH_PERIOD, self._watch, clock=steady)
-        self._at_work.wanted = time.monotonic()
-        self._at_work.worker.set_camera(message)
+        self._wanted = time.monotonic()
+        if not self._worker:
+            self._map = MapSubscriber(self, SplatMap(), most_sh_degree=0)
+            settings = (self.get_parameter(name).value for name in SETTINGS)
+            log = Throttled(self.get_logger())
+            self._worker = Worker(self._map, self.publish, log, *settings)
+        self._worker.set_camera(message)
 
     def _report(self) -> Report:
-        return self._at_work.report() if self._at_work else Report("no view wants an order", {})
+        """Warns of a backlog, a map that isn't whole, and of losses since the last report."""
+        if not self._worker:
+            return Report("no view wants an order", {})
+        figures = self._worker.figures()
+        spoilt, before = sum(figures[name] for name in LOSSES), self._spoilt
+        self._spoilt = spoilt
+        if self._map.busy:
+            return Report("more batches wait than may", figures, warns=True)
+        if spoilt > before:
+            return Report("batches, splats or views were dropped", figures, warns=True)
+        if figures["Batches missed"]:
+            return Report("the map is incomplete", figures, warns=True)
+        return Report("the map is pulled" if self._map.receiver.pulling else "sorts", figures)
 
-    def _watch(self) -> None:
-        wanted = self._at_work and time.monotonic() - self._at_work.wanted <= FORGET_AFTER
-        if not wanted and not self.unwanted.is_set():
-            self.get_logger().info("no view wants an order: the map is forgotten")
-            self.unwanted.set()
-
-    # --- What the worker calls, from its own thread -----------------------------------------------
-
-    def publish(self, answer: Answer) -> None:
-        message = SplatOrder(
-            header=answer.header,
-            view_id=answer.view_id,
-            sequence=answer.sequence,
-            map_id=answer.map_id,
-            revision=answer.revision,
-            backend=answer.backend,
-            sort_time=answer.sort_time,
-            count=len(answer.slots),
-            segment=answer.segment,
-            generation=answer.generation,
-        )
-        if answer.generation:
-            message.encoding = SplatOrder.SHARED
-        else:
-            message.encoding = SplatOrder.PACKED
-            message.slot_bits = answer.slot_bits
-            message.packed = pack(answer.slots, answer.slot_bits)
+    def publish(self, order: SplatOrder) -> None:
+        """Publishes an order, from the worker's thread."""
         if self.context.ok():
-            self._order.publish(message)
-
-    def inform(self, subject: str, text: str) -> None:
-        if self._take_turn(f"info {subject}"):
-            self.get_logger().info(text)
-
-    def warn(self, subject: str, text: str) -> None:
-        if self._take_turn(subject):
-            self.get_logger().warning(text)
-
-    def pull_again(self) -> None:
-        if self._at_work:
-            self._at_work.pull_again()
-
-    def _take_turn(self, subject: str) -> bool:
-        """Returns whether a subject may be logged now; it then rests."""
-        now = time.monotonic()
-        silent = now - self._said.get(subject, -THROTTLE) < THROTTLE
-        if not silent:
-            self._said[subject] = now
-        return not silent
-
-    # --- What ROS calls ---------------------------------------------------------------------------
+            self._order.publish(order)
 
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         values = {parameter.name: parameter.value for parameter in parameters}
@@ -174,8 +116,8 @@ class SorterNode(Node):
 
     def _use(self, parameters: list[Parameter]) -> None:
         values = {parameter.name: parameter.value for parameter in parameters}
-        if self._at_work and values.keys() & set(SETTINGS):
-            self._at_work.worker.use(
+        if self._worker and values.keys() & set(SETTINGS):
+            self._worker.use(
                 *(values.get(name, self.get_parameter(name).value) for name in SETTINGS)
             )
 
@@ -202,8 +144,11 @@ def main() -> None:
 def _sort() -> None:
     node = SorterNode()
     with spinning(node):
-        while node.context.ok() and not node.unwanted.wait(0.1):
-            pass
+        while node.context.ok() and not node.unwanted:
+            time.sleep(0.1)
+        begins_anew = node.context.ok()
+        if begins_anew:
+            node.get_logger().info("no view wants an order: the map is forgotten")
         settings = [f"{name}:={node.get_parameter(name).value}" for name in SETTINGS]
-    if node.unwanted.is_set():
+    if begins_anew:
         _begin_anew(settings)

@@ -26,6 +26,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rosplat_msgs.msg import GaussianArray, SplatOrder, ViewCamera
 from rosplat_msgs.srv import PullMap
 from rosplat_ros import qos
+from rosplat_ros.program.said_once import Throttled
 from rosplat_sorter import shared_orders
 from rosplat_sorter.node import SorterNode
 from rosplat_sorter.order_slots import OrderError, OrderReader
@@ -379,7 +380,7 @@ def test_qos_overrides_are_parameters_and_outlive_what_adapts(make_batch, make_l
 
     try:
         sorter._on_view(make_look())
-        adapts = sorter._at_work._map
+        adapts = sorter._map.receiver
         peer.create_publisher(GaussianArray, f"{name}/gaussians", qos.MAP_VOLATILE)
         deadline = time.monotonic() + PATIENCE
         while adapts._qos[1] or len(found()) < 3:
@@ -436,7 +437,7 @@ def test_publishers_that_clear_each_other_s_map_are_told_of(sorter, peer, make_b
 def test_garbage_does_not_stop_it(sorter, peer, make_batch, make_look, monkeypatch):
     nan, inf = float("nan"), float("inf")
     warnings = []
-    monkeypatch.setattr(sorter, "warn", lambda subject, text: warnings.append((subject, text)))
+    monkeypatch.setattr(Throttled, "warn", lambda _, *line: warnings.append(line))
     peer.edit(make_batch(3))
     for revision, wrong in enumerate(
         (

@@ -11,6 +11,7 @@ import pytest
 
 from rosplat_core.maps import Arrival
 from rosplat_msgs.msg import SplatOrder
+from rosplat_ros.held_map import HeldMap
 from rosplat_sorter import backends
 from rosplat_sorter.backends import BACKENDS, Entry
 from rosplat_sorter.backends.native_backend import NativeBackend
@@ -24,16 +25,19 @@ PATIENCE = 180.0  # with threads, however busy the machine is [s]
 
 
 class Recorder:
-    """A host that keeps what it is told."""
+    """Keeps orders, with their slots where a message has them, and lines of the log."""
 
     def __init__(self):
         self.answers = []
         self.lines = []
         self._told = threading.Condition()
 
-    def publish(self, answer):
+    def publish(self, order):
+        packed = order.encoding == SplatOrder.PACKED
+        slots = OrderReader().read(order) if packed else np.zeros(order.count, np.uint32)
+        fields = {name: getattr(order, name) for name in order.get_fields_and_field_types()}
         with self._told:
-            self.answers.append(answer)
+            self.answers.append(types.SimpleNamespace(**fields | {"slots": slots}))
             self._told.notify()
 
     def inform(self, subject, text):
@@ -134,7 +138,9 @@ def start():
 
     def start(backend="gated"):
         host = Recorder()
-        workers.append(Worker(host, backend, threads=1))
+        held = HeldMap(SplatMap(), "gaussians", host)
+        held.pull_again = host.pull_again
+        workers.append(Worker(held, host.publish, host, backend, threads=1))
         return workers[-1], host
 
     yield start
@@ -145,7 +151,7 @@ def start():
 
 def test_an_order_answers_its_view(start, make_batch, make_look):
     worker, host = start()
-    worker.edit(make_batch(3, frame_id="map"))
+    worker._held.add(make_batch(3, frame_id="map"))
     look = make_look(sequence=7)
     look.header.stamp.sec = 42
     worker.set_camera(look)
@@ -159,18 +165,18 @@ def test_an_order_answers_its_view(start, make_batch, make_look):
 def test_a_view_is_answered_once_a_map_begins_and_when_it_changes(start, make_batch, make_look):
     worker, host = start()
     worker.set_camera(make_look())
-    worker.edit(make_batch(3, operation=0))
+    worker._held.add(make_batch(3, operation=0))
     assert len(host.answer(revision=1).slots) == 3
-    worker.edit(make_batch(2, revision=2, operation=2))
+    worker._held.add(make_batch(2, revision=2, operation=2))
     assert list(host.answer(revision=2).slots) == [2]
-    worker.edit(make_batch(1, revision=3, first_slot=7, positions=[0.0, 0.0, 1.5]))
+    worker._held.add(make_batch(1, revision=3, first_slot=7, positions=[0.0, 0.0, 1.5]))
     assert list(host.answer(revision=3).slots) == [2, 7]
 
 
 def test_of_a_burst_only_the_newest_view_is_sorted(start, make_batch, make_look):
     worker, host = start()
     GatedBackend.gate.clear()
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     worker.set_camera(make_look(sequence=1))
     assert GatedBackend.sorting.wait(PATIENCE)
     for sequence in range(2, 102):
@@ -183,7 +189,7 @@ def test_of_a_burst_only_the_newest_view_is_sorted(start, make_batch, make_look)
 
 def test_who_asks_for_no_order_gets_none(start, make_batch, make_look):
     worker, host = start()
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     worker.set_camera(make_look(view_id="sorts itself", sequence=0))
     worker.set_camera(make_look(view_id="asks", sequence=1))
     host.answer(1, view_id="asks")
@@ -193,11 +199,11 @@ def test_who_asks_for_no_order_gets_none(start, make_batch, make_look):
 def test_a_map_that_is_pulled_at_once_is_sorted_once(start, make_batch, make_look, monkeypatch):
     monkeypatch.setattr("rosplat_sorter.worker.PULL_PATIENCE", PATIENCE)
     worker, host = start()
-    worker.edit(make_batch(operation=0, revision=5), Arrival.PULLED)
+    worker._held.add(make_batch(operation=0, revision=5), Arrival.PULLED)
     worker.set_camera(make_look(sequence=1))
-    worker.edit(make_batch(1, revision=5, first_slot=3), Arrival.PULLED)
+    worker._held.add(make_batch(1, revision=5, first_slot=3), Arrival.PULLED)
     worker.set_camera(make_look(sequence=2))
-    worker.edit(make_batch(1, revision=5, first_slot=4), Arrival.LAST)
+    worker._held.add(make_batch(1, revision=5, first_slot=4), Arrival.LAST)
     worker.set_camera(make_look(sequence=3))
     assert len(host.answer(3).slots) == 5
     assert {len(answer.slots) for answer in host.answers} == {5}
@@ -208,59 +214,59 @@ def test_orders_during_a_long_pull_name_no_revision(start, make_batch, make_look
     """A viewer must not take them for orders of the whole map."""
     monkeypatch.setattr("rosplat_sorter.worker.PULL_PATIENCE", 0.1)
     worker, host = start()
-    worker.edit(make_batch(operation=0, revision=5))
+    worker._held.add(make_batch(operation=0, revision=5))
     worker.set_camera(make_look(sequence=1))
     assert host.answer(1).revision == 5
-    worker.edit(make_batch(1, revision=9, first_slot=3), Arrival.PULLED)
+    worker._held.add(make_batch(1, revision=9, first_slot=3), Arrival.PULLED)
     worker.set_camera(make_look(sequence=2))
     assert (host.answer(2).revision, len(host.answer(2).slots)) == (0, 4)
-    worker.edit(make_batch(1, revision=12, first_slot=4), Arrival.LAST)
+    worker._held.add(make_batch(1, revision=12, first_slot=4), Arrival.LAST)
     assert len(host.answer(2, revision=12).slots) == 5
 
 
 def test_orders_of_a_map_that_lacks_a_batch_name_no_revision(start, make_batch, make_look):
     worker, host = start()
-    worker.edit(make_batch(operation=0))
-    worker.edit(make_batch(1, revision=3, first_slot=4))
+    worker._held.add(make_batch(operation=0))
+    worker._held.add(make_batch(1, revision=3, first_slot=4))
     worker.set_camera(make_look(sequence=1))
     assert (host.answer(1).revision, len(host.answer(1).slots)) == (0, 4)
-    worker.edit(make_batch(1, revision=3, first_slot=3), Arrival.LAST)
+    worker._held.add(make_batch(1, revision=3, first_slot=3), Arrival.LAST)
     assert len(host.answer(1, revision=3).slots) == 5
 
 
 def test_it_says_when_too_much_waits(start, make_batch, make_look, monkeypatch):
-    monkeypatch.setattr("rosplat_sorter.worker.MOST_WAITING", 10 * 50 * 56)
+    monkeypatch.setattr("rosplat_ros.held_map.MOST_WAITING", 10 * 50 * 56)
     worker, host = start()
     GatedBackend.gate.clear()
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     worker.set_camera(make_look())
     assert GatedBackend.sorting.wait(PATIENCE)
     revision = 1
-    while not worker.busy:
+    while not worker._held.busy:
         revision += 1
-        worker.edit(make_batch(50, revision=revision))
+        worker._held.add(make_batch(50, revision=revision))
     assert revision == 12
     GatedBackend.gate.set()
     assert len(host.answer(revision=12).slots) == 50
-    assert not worker.busy
+    assert not worker._held.busy
 
 
 def test_views_are_answered_between_batches_that_wait(start, make_batch, make_look, monkeypatch):
     monkeypatch.setattr("rosplat_sorter.worker.SLICE", 2 * 50 * 56)
     views = [str(number) for number in range(30)]
     worker, host = start()
-    worker.edit(make_batch(50))
+    worker._held.add(make_batch(50))
     for view_id in views:
         worker.set_camera(make_look(view_id=view_id))
     for view_id in views:
         host.answer(view_id=view_id, revision=1)
     GatedBackend.gate.clear()
     GatedBackend.sorting.clear()
-    worker.edit(make_batch(50, revision=2))
+    worker._held.add(make_batch(50, revision=2))
     assert GatedBackend.sorting.wait(PATIENCE)
     for revision in range(3, 63):
-        worker.edit(make_batch(50, revision=revision))
-    assert worker._inbox.batch_bytes == 60 * 50 * 56
+        worker._held.add(make_batch(50, revision=revision))
+    assert worker._held._backlog == 60 * 50 * 56
     GatedBackend.gate.set()
     for view_id in views:
         host.answer(view_id=view_id, revision=62)
@@ -268,29 +274,29 @@ def test_views_are_answered_between_batches_that_wait(start, make_batch, make_lo
     assert max(np.diff(revisions)) <= 2
     waiting = host.answers[len(views) : 2 * len(views)]
     assert {answer.view_id for answer in waiting} == set(views)  # each in its turn
-    assert worker._inbox.batch_bytes == 0
+    assert worker._held._backlog == 0
 
 
 def test_of_batches_that_wait_none_is_applied_that_another_replaces(start, make_batch, make_look):
     worker, host = start()
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     GatedBackend.gate.clear()
     worker.set_camera(make_look())
     assert GatedBackend.sorting.wait(PATIENCE)
     for revision in range(2, 20):
-        worker.edit(make_batch(50, revision=revision))
-    worker.edit(make_batch(5, operation=0, revision=20))
-    worker.edit(make_batch(1, revision=21, first_slot=5))
-    assert worker._inbox.batch_bytes == 6 * 56
+        worker._held.add(make_batch(50, revision=revision))
+    worker._held.add(make_batch(5, operation=0, revision=20))
+    worker._held.add(make_batch(1, revision=21, first_slot=5))
+    assert worker._held._backlog == 6 * 56
     GatedBackend.gate.set()
     assert len(host.answer(revision=21).slots) == 6
-    assert worker._batches == 3
+    assert worker._held.edits == 3
     assert not [line for line in host.lines if "missed" in line]
 
 
 def test_views_do_not_displace_each_other(start, make_batch, make_look):
     worker, host = start()
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     for view_id in "abc":
         worker.set_camera(make_look(view_id=view_id))
     for view_id in "abc":
@@ -299,13 +305,13 @@ def test_views_do_not_displace_each_other(start, make_batch, make_look):
 
 def test_what_did_not_change_is_answered_but_not_sorted_again(start, make_batch, make_look):
     worker, host = start()
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     worker.set_camera(make_look(sequence=1))
     first = host.answer(1)
     worker.set_camera(make_look(sequence=1))  # a sign of life
     worker.set_camera(make_look(sequence=2))
     second = host.answer(2)
-    assert second.slots is first.slots
+    np.testing.assert_array_equal(second.slots, first.slots)
     worker.set_camera(make_look(sequence=3))
     host.answer(3)
     assert GatedBackend.sorts == 1
@@ -317,46 +323,46 @@ def test_what_did_not_change_is_answered_but_not_sorted_again(start, make_batch,
 
 def test_a_map_that_is_played_once_more_is_sorted_again(start, make_batch, make_look):
     worker, host = start()
-    worker.edit(make_batch(operation=0))
+    worker._held.add(make_batch(operation=0))
     worker.set_camera(make_look(sequence=1))
     assert len(host.answer(1).slots) == 3
-    worker.edit(make_batch(5, operation=0))  # of the same revision
+    worker._held.add(make_batch(5, operation=0))  # of the same revision
     worker.set_camera(make_look(sequence=2))
     assert len(host.answer(2).slots) == 5
 
 
 def test_silent_views_are_forgotten(start, make_batch, make_look, monkeypatch):
     worker, host = start()
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     worker.set_camera(make_look(view_id="gone"))
     host.answer(view_id="gone")
     now = time.monotonic() + FORGET_AFTER + 1
     monkeypatch.setattr(time, "monotonic", lambda: now)
     worker.set_camera(make_look(view_id="here"))
     host.answer(view_id="here")
-    worker.edit(make_batch(revision=2))
+    worker._held.add(make_batch(revision=2))
     host.answer(view_id="here", revision=2)
     assert [answer.view_id for answer in host.answers] == ["gone", "here", "here"]
 
 
 def test_views_without_end_do_not_pile_up(start, make_batch, make_look):
     worker, host = start()
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     for number in range(MAX_VIEWS + 20):
         worker.set_camera(make_look(view_id=str(number)))
         host.answer(view_id=str(number))
     host.answers.clear()
-    worker.edit(make_batch(revision=2))
+    worker._held.add(make_batch(revision=2))
     host.answer(revision=2, view_id=str(MAX_VIEWS + 19))
     assert len(host.answers) == MAX_VIEWS
 
 
 def test_bad_messages_are_reported_and_survived(start, make_batch, make_look):
     worker, host = start()
-    worker.edit(make_batch(count=3))
-    worker.edit(make_batch(revision=2, positions=[0.0]))
+    worker._held.add(make_batch(count=3))
+    worker._held.add(make_batch(revision=2, positions=[0.0]))
     host.said("batch 2 of map 'map' dropped: positions holds 1 values, not the 9")
-    worker.edit(make_batch(revision=3, opacities=[1.0, float("nan"), 1.0]))
+    worker._held.add(make_batch(revision=3, opacities=[1.0, float("nan"), 1.0]))
     host.said("missed 1 batch before 3")
     host.said("1 splat of batch 3 dropped")
     worker.set_camera(make_look(view_id="bad", fx=0.0))
@@ -371,7 +377,7 @@ def test_bad_messages_are_reported_and_survived(start, make_batch, make_look):
 def test_a_backend_that_fails_is_left_for_the_best_other(start, make_batch, make_look, where):
     BrokenBackend.where = where
     worker, host = start("broken")
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     worker.set_camera(make_look())
     answer = host.answer()
     assert answer.backend in BACKENDS.keys() - {"broken"}
@@ -384,9 +390,9 @@ def test_what_replaces_a_backend_may_fail_too(start, make_batch, make_look, monk
     monkeypatch.setattr(NativeBackend, "update", has_room_for(0, NativeBackend.update))
     BrokenBackend.where = "update"
     worker, host = start("broken")
-    with worker._wake:  # all at once
-        worker.edit(make_batch())
-        worker.edit(make_batch(1, revision=2, first_slot=7, positions=[0.0, 0.0, 1.5]))
+    with worker._held._lock:  # all at once
+        worker._held.add(make_batch())
+        worker._held.add(make_batch(1, revision=2, first_slot=7, positions=[0.0, 0.0, 1.5]))
         worker.set_camera(make_look())
     answer = host.answer(revision=2)
     assert (answer.backend, list(answer.slots)) == ("numpy", [2, 1, 7, 0])
@@ -405,9 +411,9 @@ def test_without_memory_for_a_batch_the_map_comes_again(start, make_batch, monke
 
     monkeypatch.setattr(SplatMap, "apply", short)
     worker, host = start()
-    with worker._wake:
+    with worker._held._lock:
         for revision in (1, 2, 3):
-            worker.edit(make_batch(revision=revision, operation=min(revision - 1, 1)))
+            worker._held.add(make_batch(revision=revision, operation=min(revision - 1, 1)))
     host.said("all is to come again")
     host.said("batch 2 of map 'map' dropped: out of memory")
     assert taken == [1, 2]  # what waited behind it is dropped
@@ -417,12 +423,12 @@ def test_without_memory_for_a_batch_the_map_comes_again(start, make_batch, monke
 def test_a_backend_that_can_t_take_the_map_is_never_used(start, make_batch, make_look):
     BrokenBackend.where = "update"
     worker, host = start("numpy")
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     worker.set_camera(make_look())
     host.answer()
-    with worker._wake:
+    with worker._held._lock:
         worker.use("broken", 1)
-        worker.edit(make_batch(1, revision=2, first_slot=7, positions=[0.0, 0.0, 1.5]))
+        worker._held.add(make_batch(1, revision=2, first_slot=7, positions=[0.0, 0.0, 1.5]))
     assert list(host.answer(revision=2).slots) == [2, 1, 7, 0]
     host.said("backend 'broken' failed: CUDA out of memory")
     assert not [answer for answer in host.answers if answer.backend == "broken"]
@@ -436,16 +442,16 @@ def test_a_map_that_no_backend_takes_leaves_room_for_the_next(
         monkeypatch.setattr(backend, "update", has_room_for(3, backend.update))
     worker, host = start("native")
     worker.set_camera(make_look())
-    worker.edit(make_batch(5, operation=0))
+    worker._held.add(make_batch(5, operation=0))
     host.said("could not sort: Unavailable")
-    worker.edit(make_batch(3, operation=0, revision=2))
+    worker._held.add(make_batch(3, operation=0, revision=2))
     assert len(host.answer(revision=2).slots) == 3
     assert len(host.answers) == 1
 
 
 def test_backends_change_while_running(start, make_batch, make_look):
     worker, host = start("numpy")
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     worker.set_camera(make_look(sequence=1))
     assert host.answer(1).backend == "numpy"
     worker.use("native", 1)
@@ -458,7 +464,7 @@ def test_a_viewer_that_shows_the_key_is_answered_through_shared_memory(
 ):
     worker, host = start()
     reader = OrderReader()
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     worker.set_camera(make_look(sequence=1))
     first = host.answer(1)
     assert (first.generation, first.slot_bits) == (0, 2)
@@ -493,7 +499,7 @@ def test_a_viewer_that_shows_the_key_is_answered_through_shared_memory(
 def test_a_lost_key_brings_the_last_order_again(start, make_batch, make_look):
     """The sequence is the same: the viewer could not read what answered it."""
     worker, host = start()
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     worker.set_camera(make_look(sequence=1))
     first = host.answer(1)
     key = int.from_bytes((FOLDER / first.segment).read_bytes()[16:24], sys.byteorder)
@@ -507,7 +513,7 @@ def test_a_lost_key_brings_the_last_order_again(start, make_batch, make_look):
 
 def test_without_room_orders_travel_in_messages(start, make_batch, make_look, monkeypatch):
     worker, host = start()
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     worker.set_camera(make_look(sequence=1))
     first = host.answer(1)
     key = int.from_bytes((FOLDER / first.segment).read_bytes()[16:24], sys.byteorder)
@@ -523,9 +529,9 @@ def test_without_room_orders_travel_in_messages(start, make_batch, make_look, mo
 def test_what_peers_send_makes_no_more_than_a_line(start, make_batch, make_look):
     worker, host = start()
     long = "a\n\x1b[31m" * 100_000
-    worker.edit(make_batch(map_id=long, frame_id=long))
-    worker.edit(make_batch(map_id=long, revision=0))
-    worker.edit(make_batch(map_id=long, revision=5))
+    worker._held.add(make_batch(map_id=long, frame_id=long))
+    worker._held.add(make_batch(map_id=long, revision=0))
+    worker._held.add(make_batch(map_id=long, revision=5))
     worker.set_camera(make_look(view_id=long, frame_id=long))
     host.said("header.frame_id is 'a\\n\\x1b[31ma")
     worker.set_camera(make_look(view_id=long, fx=0.0))
@@ -538,9 +544,9 @@ def test_what_peers_send_makes_no_more_than_a_line(start, make_batch, make_look)
 def test_views_that_wait_do_not_pile_up(start, make_batch, make_look):
     worker, _ = start()
     GatedBackend.gate.clear()
-    worker.edit(make_batch())
+    worker._held.add(make_batch())
     worker.set_camera(make_look())
     assert GatedBackend.sorting.wait(PATIENCE)
     for number in range(1000):
         worker.set_camera(make_look(view_id=str(number)))
-    assert list(worker._inbox.views) == [str(number) for number in range(1000 - MAX_VIEWS, 1000)]
+    assert list(worker._cameras) == [str(number) for number in range(1000 - MAX_VIEWS, 1000)]

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -31,12 +30,13 @@ from rosplat_core.occupancy import OccupancyMap, grid_of
 from rosplat_core.splats import Splats
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import MeasureDistances, PullMap, SaveMap
+from rosplat_ros.held_map import HeldMap
 from rosplat_ros.map_publisher import MapPublisher
 from rosplat_ros.program.running import spinning
+from rosplat_ros.program.said_once import Throttled
 from rosplat_ros.qos import MAP
 from rosplat_testing import PATIENCE
 from rosplat_testing.studio import Log, transform
-from rosplat_tools import map_subscriber
 from rosplat_tools.frames import FrameError
 from rosplat_tools.obstacles import occupancy
 
@@ -344,21 +344,20 @@ def test_what_is_incomplete_is_not_published_and_recovers(
 )
 def test_a_map_says_how_many_batches_it_lacks(missed: int, told: str) -> None:
     books = SimpleNamespace(missed=missed, pulled=False, splats=1)
-    held: Any = SimpleNamespace(books=books, topic="gaussians", edits=1, _announced=True)
-    problem = map_subscriber.MapSubscriber.problem(held)
-    assert problem == f"gaussians: the map isn't complete: 1 splat, {told}"
+    held = HeldMap(books, "gaussians", Throttled(None))
+    held.edits = 1
+    assert held.problem() == f"gaussians: the map isn't complete: 1 splat, {told}"
 
 
 def test_the_end_of_a_pull_is_no_end_of_a_map_that_still_comes() -> None:
-    books = SimpleNamespace(missed=0, pulled=False, splats=1, complete=False)
-    held: Any = SimpleNamespace(
-        books=books, topic="gaussians", edits=0, applied=lambda batch: None,
-        _target=SimpleNamespace(apply=lambda batch, arrival: {"dropped": 0}), _announced=False,
-        _waiting=deque([(GaussianArray(operation=GaussianArray.REPLACE), Arrival.LAST)]),
+    books = SimpleNamespace(
+        missed=0, pulled=False, splats=1, complete=False,
+        apply=lambda batch, arrival: {"missed": 0, "dropped": 0},
     )  # fmt: skip
-    map_subscriber.MapSubscriber.apply_waiting(held)
-    problem = map_subscriber.MapSubscriber.problem(held)
-    assert problem == "gaussians: the map isn't complete: 1 splat, more is to come"
+    held = HeldMap(books, "gaussians", Throttled(None))
+    held.add(GaussianArray(operation=GaussianArray.REPLACE), Arrival.LAST)
+    held.apply_waiting()
+    assert held.problem() == "gaussians: the map isn't complete: 1 splat, more is to come"
 
 
 @contextmanager

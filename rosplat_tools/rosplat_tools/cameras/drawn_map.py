@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from rclpy.node import Node
 from std_msgs.msg import Header
@@ -12,11 +11,9 @@ from std_msgs.msg import Header
 from rosplat_core.cameras import Camera
 from rosplat_core.rendering import CpuRenderer
 from rosplat_msgs.msg import ViewCamera
+from rosplat_ros.held_map import MapSubscriber
 from rosplat_ros.qos import VIEW, overridable
 from rosplat_ros.view_cameras import view_camera
-from rosplat_tools.map_subscriber import MapSubscriber
-
-POLL = 0.005  # longest time between two looks at TF [s]
 
 
 class DrawnMap(MapSubscriber):
@@ -24,19 +21,9 @@ class DrawnMap(MapSubscriber):
 
     def __init__(self, node: Node) -> None:
         self.renderer = CpuRenderer()
-        self.came = threading.Event()
-        """Set whenever something has come that the drawing thread should look at."""
-        super().__init__(node, self.renderer, self.came.set)
+        super().__init__(node, self.renderer)
         self._views = node.create_publisher(ViewCamera, f"{self.topic}/view", **overridable(VIEW))
         self._instance = f"{node.get_name()}_{uuid.uuid4().hex[:8]}"
-
-    def turns(self) -> Iterator[None]:
-        """Takes batches, and yields, until ROS ends: whenever something has come, or is polled."""
-        while self._node.context.ok():
-            self.came.wait(POLL)
-            self.came.clear()
-            self.apply_waiting()
-            yield
 
     @property
     def frame_id(self) -> str:

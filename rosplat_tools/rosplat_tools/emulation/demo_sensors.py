@@ -26,6 +26,7 @@ from rosplat_core.cameras import Camera
 from rosplat_core.maps import GaussianMap
 from rosplat_msgs.msg import GaussianArray
 from rosplat_msgs.srv import RenderView
+from rosplat_ros.held_map import MapSubscriber
 from rosplat_ros.images import to_bytes, to_image
 from rosplat_ros.poses import pose_of, to_quaternion, to_vector
 from rosplat_ros.program.parameters import declare
@@ -36,7 +37,6 @@ from rosplat_tools.cameras.calibrations import of_pinhole
 from rosplat_tools.cameras.pose_history import SECOND
 from rosplat_tools.emulation.flight import CAMERA_OFFSET, Flight, Motion
 from rosplat_tools.frames import TF, TFMessage, transform
-from rosplat_tools.map_subscriber import MapSubscriber
 
 # Reliable: such a publisher serves best-effort subscribers, too. Deep: late ticks send bursts.
 SENSOR = QoSProfile(depth=100)
@@ -111,7 +111,7 @@ class DemoSensors(Node):
         else:
             self.get_logger().info("no tf2_msgs here: TF is left out")
 
-        self._map = MapSubscriber(self, GaussianMap(), lambda: None, most_sh_degree=0)
+        self._map = MapSubscriber(self, GaussianMap(), most_sh_degree=0)
         self._map.applied = self._on_batch
         self._is_new = False  # whether the path is still to be laid around the map
         self._topic = self._map.topic

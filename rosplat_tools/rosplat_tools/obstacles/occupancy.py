@@ -41,6 +41,7 @@ from rosplat_core.quaternions import from_matrices
 from rosplat_core.splats import InputError
 from rosplat_msgs.srv import MeasureDistances, SaveMap
 from rosplat_ros.diagnostics import Diagnostics, Report
+from rosplat_ros.held_map import MapSubscriber
 from rosplat_ros.messages import as_array, is_frame
 from rosplat_ros.program.files_below import check_below
 from rosplat_ros.program.parameters import declare, declare_path
@@ -48,7 +49,6 @@ from rosplat_ros.program.running import run_node
 from rosplat_ros.program.said_once import SaidOnce
 from rosplat_ros.qos import LATCHED, overridable
 from rosplat_tools.frames import FrameError, Frames
-from rosplat_tools.map_subscriber import MapSubscriber
 from rosplat_tools.obstacles.obstacle_messages import (
     distances_message,
     grid_message,
@@ -120,9 +120,8 @@ class Occupancy(Node):
         self._not_free = ""  # why no cell of the grid is free
         self._no_distances = ""  # why there are none
         self._field: tuple[object, DistanceField] | None = None  # of the map as it was then
-        self._came = threading.Event()
         self._lock = threading.Lock()  # of the map and of what is made of it
-        self._map = MapSubscriber(self, self._voxels, self._came.set, most_sh_degree=0)
+        self._map = MapSubscriber(self, self._voxels, most_sh_degree=0)
         topic = self._map.topic  # remapping it remaps the others
         outputs: list[tuple[str, type, Callable[[Header], Any]]] = [
             ("occupancy", OccupancyGrid, self._grid_message),
@@ -148,8 +147,8 @@ class Occupancy(Node):
         """Publishes until ROS ends."""
         due = 0.0
         while self.context.ok():
-            self._came.wait(min(POLL, max(due - time.monotonic(), 0.0)))
-            self._came.clear()
+            self._map.came.wait(min(POLL, max(due - time.monotonic(), 0.0)))
+            self._map.came.clear()
             with self._lock:
                 self._map.apply_waiting()
                 if (now := time.monotonic()) >= due:

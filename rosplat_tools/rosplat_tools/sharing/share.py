@@ -8,7 +8,6 @@ map that changes is published again, whole.
 from __future__ import annotations
 
 import time
-from threading import Event
 from typing import Any
 
 from rclpy.node import Node
@@ -17,10 +16,10 @@ from std_msgs.msg import Header
 
 from rosplat_core.log_text import shown
 from rosplat_core.rendering import CpuRenderer
+from rosplat_ros.held_map import MapSubscriber
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import run_node
 from rosplat_tools.foreign import TYPES, foreign, message_of
-from rosplat_tools.map_subscriber import MapSubscriber
 from rosplat_tools.sharing.rerun_log import RerunLog
 
 RERUN = "rerun"
@@ -48,17 +47,13 @@ class Share(Node):
             self._publisher = self.create_publisher(
                 self._message, self._kind.TOPIC, QoSProfile(depth=self._kind.DEPTH, durability=kept)
             )
-        self._came = Event()
         self._renderer = CpuRenderer()
-        self._map = MapSubscriber(self, self._renderer, self._came.set)
+        self._map = MapSubscriber(self, self._renderer)
 
     def work(self) -> None:
         """Publishes whenever the map has changed and is whole, until ROS ends."""
         shared = 0  # edits of the map that was published last
-        while self.context.ok():
-            self._came.wait(0.1)
-            self._came.clear()
-            self._map.apply_waiting()
+        for _ in self._map.turns(0.1):
             if self._map.edits != shared and not self._map.problem():
                 shared = self._map.edits
                 self._publish()
