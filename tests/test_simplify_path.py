@@ -232,7 +232,7 @@ def test_the_poses_of_a_bag_are_a_trajectory(
             assert (ours.fx, ours.width) == (path[0].fx, path[0].width)
     out = str(tmp_path / "out.ply")
     for name, error in {
-        str(several): f"give a topic of poses, as {several}:TOPIC; it has /empty, /odom, /poses",
+        str(several): f"Odometry? Give it as {several}:TOPIC: it has /empty, /odom, /poses",
         f"{several}:/x": "it has /empty, /odom, /poses",
         f"{several}:/empty": "/empty holds no poses",
         f"{tmp_path}:/x": "no whole bag",

@@ -11,15 +11,28 @@ from rclpy.serialization import deserialize_message
 
 from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError
+from rosplat_ros.program.mistakes import type_name
 
 Read = Callable[[Collection[str]], Iterator[tuple[str, bytes]]]
 """Yields topics and serialized messages of the topics that it is given."""
 
 
-def topics(path: str) -> dict[str, str]:
-    """Types, as "sensor_msgs/msg/Image", by topic. Raises InputError, naming the bag."""
-    with _opened(path) as (found, _):
-        return found
+def topic(path: str, name: str, how: str, *kinds: type) -> tuple[str, type]:
+    """The topic of that name, of one of the kinds, and its kind; without a name, the only one.
+
+    how: a user gives the name. Raises InputError, naming the bag and the topics that it has.
+    """
+    by_type = {type_name(kind): kind for kind in kinds}
+    with _opened(path) as (types, _):
+        known = {each: by_type[found] for each, found in types.items() if found in by_type}
+    if not name and len(known) == 1:
+        return next(iter(known.items()))
+    if name in known:
+        return name, known[name]
+    what = " or ".join(kind.__name__ for kind in kinds)
+    listed = f"it has {', '.join(sorted(known))}" if known else "it has none"
+    asked = f"no {what} on {shown(name)}" if name else f"which {what}? Give {how}"
+    raise InputError(f"{shown(path)}: {asked}: {listed}")
 
 
 def messages(path: str, kinds: Mapping[str, type]) -> Iterator[tuple[str, Any]]:

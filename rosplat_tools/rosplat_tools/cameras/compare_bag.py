@@ -34,12 +34,6 @@ from rosplat_tools.frames import FrameError, Frames
 
 ALWAYS = 1e9  # how far back poses are kept [s]
 TF, TF_STATIC = "/tf", "/tf_static"
-TYPES: dict[type, str] = {
-    Image: "sensor_msgs/msg/Image",
-    CameraInfo: "sensor_msgs/msg/CameraInfo",
-    PoseStamped: "geometry_msgs/msg/PoseStamped",
-    GaussianArray: "rosplat_msgs/msg/GaussianArray",
-}
 
 
 class Bag:
@@ -48,7 +42,6 @@ class Bag:
     def __init__(self, options: argparse.Namespace) -> None:
         """Reads all but the pictures. Raises InputError."""
         self.path: str = options.bag
-        self._topics = bags.topics(self.path)
         self.image = self._topic(options.image, Image, "--image")
         info = options.info or f"{self.image.rpartition('/')[0]}/camera_info"
         self._info = self._topic(info, CameraInfo, "--info")
@@ -71,16 +64,7 @@ class Bag:
             self._check_map()
 
     def _topic(self, name: str, kind: type, option: str) -> str:
-        """The topic of that name and kind; without a name, the only one of the kind."""
-        known = [topic for topic, found in self._topics.items() if found == TYPES[kind]]
-        if name in known:
-            return name
-        if not name and len(known) == 1:
-            return known[0]
-        what = kind.__name__
-        listed = f"it has {', '.join(sorted(known))}" if known else "it has none"
-        asked = f"no {what} on {shown(name)}" if name else f"which {what}? Give {option}"
-        raise InputError(f"{shown(self.path)}: {asked}: {listed}")
+        return bags.topic(self.path, name, option, kind)[0]
 
     def _transforms(self) -> Frames:
         try:
@@ -95,7 +79,7 @@ class Bag:
         if self._tf:
             from tf2_msgs.msg import TFMessage
 
-            kinds |= {topic: TFMessage for topic in (TF, TF_STATIC) if topic in self._topics}
+            kinds |= {TF: TFMessage, TF_STATIC: TFMessage}
         else:
             kinds[self._pose] = PoseStamped
         with _counted("reading the bag") as drawn:
