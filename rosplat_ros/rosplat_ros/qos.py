@@ -29,6 +29,9 @@ PULLED_MAP = QoSProfile(depth=8, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 VIEW = QoSProfile(depth=32)
 ORDER = QoSProfile(depth=8)
 
+# What a sensor measures, in no hurry: best-effort subscribers are served, too.
+PICTURES = QoSProfile(depth=5)
+
 # What is published once, a first view say: the newest, for whoever comes.
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 

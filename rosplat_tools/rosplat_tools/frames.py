@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rclpy.clock import JumpHandle, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.time import Time
 from std_msgs.msg import Header
@@ -18,6 +19,8 @@ from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError
 from rosplat_ros.messages import plain_frame
 from rosplat_ros.poses import to_matrix, to_pose
+from rosplat_ros.qos import LATCHED, overridable
+from rosplat_tools.cameras.pose_history import PoseError
 
 # Some wheels of PyPI lack these.
 try:
@@ -48,16 +51,23 @@ def transform(header: Header, child: str, pose: Pose) -> TransformStamped:
     )
 
 
+def tf_publishers(node: Node) -> tuple[Publisher | None, Publisher | None]:
+    """Of /tf and /tf_static; None, with a line in the log, where there is no tf2_msgs."""
+    if not TFMessage:
+        node.get_logger().info("no tf2_msgs here: TF is left out")
+        return None, None
+    return (
+        node.create_publisher(TFMessage, "/tf", **overridable(TF)),
+        node.create_publisher(TFMessage, "/tf_static", **overridable(LATCHED)),
+    )
+
+
 def on_restart(node: Node, forget: Callable[[], None]) -> JumpHandle:
     """Calls forget whenever a node's clock goes back or becomes another, while the result lives."""
     back = JumpThreshold(
         min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=True
     )
     return node.get_clock().create_jump_callback(back, post_callback=lambda _: forget())
-
-
-class FrameError(LookupError):
-    """A frame isn't known at all, or not yet, or not at that time; the text says which."""
 
 
 class Frames:
@@ -80,7 +90,7 @@ class Frames:
         fill(transform, "")
 
     def pose(self, frame: str, within: str, stamp: int = LATEST) -> tuple[int, NDArray[np.float64]]:
-        """Time [ns] and pose (4, 4) [m] of a frame in another one. Raises FrameError.
+        """Time [ns] and pose (4, 4) [m] of a frame in another one. Raises PoseError.
 
         A transform of the far future would have TF take all others for outdated: such a one is
         named, and TF begins anew.
@@ -90,7 +100,7 @@ class Frames:
             found = self._buffer.lookup_transform(within, frame, Time(nanoseconds=stamp))
         except tf2_ros.TransformException as error:
             self._check_time(self._latest(frame, within), frame, within)
-            raise FrameError(shown(error, 300)) from error
+            raise PoseError(shown(error, 300)) from error
         moved, when = found.transform, Time.from_msg(found.header.stamp)
         self._check_time(when.nanoseconds, frame, within)
         place = moved.translation
@@ -98,7 +108,7 @@ class Frames:
             pose = Pose(position=Point(x=place.x, y=place.y, z=place.z), orientation=moved.rotation)
             return when.nanoseconds, to_matrix(to_pose(pose))
         except ValueError as error:
-            raise FrameError(f"'{shown(frame)}' in '{shown(within)}': {error}") from error
+            raise PoseError(f"'{shown(frame)}' in '{shown(within)}': {error}") from error
 
     def _latest(self, frame: str, within: str) -> int:
         try:
@@ -112,7 +122,7 @@ class Frames:
         ahead = 1e-9 * (when - now)
         if now and ahead > AHEAD:
             self._buffer.clear()
-            raise FrameError(
+            raise PoseError(
                 f"'{shown(frame)}' in '{shown(within)}': TF has a stamp {ahead:,.0f} s ahead of "
                 "the clock, which outdates all others; TF begins anew"
             )

@@ -30,7 +30,7 @@ from rosplat_testing.studio import Log, Studio, transform
 from rosplat_tools.cameras.calibrations import of_lens
 from rosplat_tools.cameras.pose_history import SECOND, PoseError, between
 from rosplat_tools.cameras.poses import TopicPoses
-from rosplat_tools.frames import FrameError, Frames
+from rosplat_tools.frames import Frames
 
 SPLATS = generate(3000, seed=2)
 EYE = look_at((6.0, 1.0, 2.0), (0.0, 0.0, 0.5))
@@ -271,13 +271,13 @@ def test_poses_of_a_run_end_where_simulated_time_begins_anew(
     node: Node, clocked: Node, studio: Studio
 ) -> None:
     listener, ticks = Listener(clocked), node.create_publisher(Clock, "/clock", 10)
-    poses = TopicPoses(clocked, ["camera"], lambda: None)
+    poses = TopicPoses(clocked, "camera", lambda: None)
 
     def found(nanosec: int) -> bool:
         ticks.publish(Clock(clock=Time(sec=500, nanosec=nanosec)))
         studio.pose(EYE, 500, nanosec=nanosec)
         try:
-            return poses.newest("camera", "", "map")[0] == 500 * SECOND + nanosec
+            return poses.pose("", "map")[0] == 500 * SECOND + nanosec
         except PoseError:
             return False
 
@@ -288,13 +288,13 @@ def test_poses_of_a_run_end_where_simulated_time_begins_anew(
 
 
 def test_poses_may_name_their_frame_as_ros_1_did(node: Node, listener: Listener) -> None:
-    poses = TopicPoses(node, ["camera"], lambda: None)
+    poses = TopicPoses(node, "camera", lambda: None)
     topic = node.create_publisher(PoseStamped, "camera/pose", 10)
 
     def found(frame: str) -> bool:
         topic.publish(PoseStamped(header=Header(frame_id=frame, stamp=Time(sec=7))))
         try:
-            return poses.newest("camera", "", "map")[0] == 7 * SECOND
+            return poses.pose("", "map")[0] == 7 * SECOND
         except PoseError:
             return False
 
@@ -333,7 +333,7 @@ def test_tf_of_a_run_ends_where_simulated_time_begins_anew(node: Node, clocked: 
         sent.sendTransform(transform("map", "body", pose, second))
         try:
             return np.allclose(frames.pose("body", "map")[1], pose)
-        except FrameError:
+        except PoseError:
             return False
 
     listener.wait(lambda: found(500, np.linalg.inv(EYE)))

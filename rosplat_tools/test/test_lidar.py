@@ -109,6 +109,23 @@ def test_the_program_measures_where_the_pose_is(
     assert np.isfinite(scan.ranges).mean() > 0.9
 
 
+def test_there_are_no_more_scans_than_the_rate(
+    node: Node, listener: Listener, start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    publisher = MapPublisher(node)
+    publisher.replace(ROOMS[::100])
+    studio, scans = Studio(node, listener, "lidar"), list[LaserScan]()
+    node.create_subscription(LaserScan, "scan", scans.append, 10)
+    start("lidar", poses="topic", rings=1, columns=8, rate=1.0, farthest=10.0)
+    for tenths, due in ((100, 1), (108, 2), (116, 2), (124, 3), (130, 3)):
+        studio.pose(np.eye(4), tenths // 10, nanosec=tenths % 10 * 10**8)
+        listener.wait(lambda due=due: len(scans) >= due)
+        for _ in range(20):
+            listener.spin_once()  # while the lidar takes what is on its way
+    stamps = [scan.header.stamp.sec + 1e-9 * scan.header.stamp.nanosec for scan in scans]
+    assert stamps == pytest.approx([10, 10.8, 12.4])
+
+
 def test_parameters_that_are_no_lidar_are_named(refusal: Callable[..., str]) -> None:
     said = refusal("lidar", poses="topic", lowest=20.0, highest=10.0)
     assert "parameters lowest, highest, nearest, farthest: 20, 10, 0.1, 100 are no ranges" in said

@@ -37,7 +37,7 @@ from rosplat_ros.program.said_once import Throttled
 from rosplat_ros.qos import MAP
 from rosplat_testing import PATIENCE
 from rosplat_testing.studio import Log, transform
-from rosplat_tools.frames import FrameError
+from rosplat_tools.cameras.pose_history import PoseError
 from rosplat_tools.obstacles import occupancy
 
 Start = Callable[..., subprocess.Popen[str]]
@@ -255,7 +255,7 @@ def test_points_may_be_in_any_frame_that_tf_knows(
 
         def pose(self, frame: str, within: str) -> tuple[int, NDArray[np.float64]]:
             if frame != "base":
-                raise FrameError(f"no {frame}")
+                raise PoseError(f"no {frame}")
             assert within == "map"
             return 0, base
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -24,21 +24,19 @@ from rosplat_core.lens_warps import Straightened
 from rosplat_core.log_text import shown
 from rosplat_core.splats import InputError
 from rosplat_msgs.srv import Align
-from rosplat_ros.diagnostics import Diagnostics
 from rosplat_ros.messages import is_frame
 from rosplat_ros.poses import to_matrix, to_pose
 from rosplat_ros.program.parameters import declare, declare_path
 from rosplat_ros.program.running import run_node
-from rosplat_ros.qos import overridable
+from rosplat_ros.qos import PICTURES, overridable
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.cameras.health import NoPicture
 from rosplat_tools.cameras.places import Places
-from rosplat_tools.cameras.pose_history import SECOND, Pose
+from rosplat_tools.cameras.pose_history import Pose
 from rosplat_tools.cameras.refining import Refined, refined
 from rosplat_tools.cameras.taken_pictures import Taken, TakenPictures
 from rosplat_tools.frames import TF, TFMessage, transform
 
-POSES = QoSProfile(depth=5)
 CALLS = QoSProfile(depth=100)  # that come at once, and are not lost before they are refused
 MOST_CALLS = 2  # of the service at a time: one that is answered, one that waits
 THREADS = MOST_CALLS + 2  # of callbacks: each call keeps one, and one refuses further calls
@@ -76,7 +74,7 @@ class AlignNode(Node):
         self._health = self._pictures.health
         self._calls: deque[_Call] = deque()
         self._aligned = self.create_publisher(
-            PoseWithCovarianceStamped, "aligned", **overridable(POSES)
+            PoseWithCovarianceStamped, "aligned", **overridable(PICTURES)
         )
         self._tf = (
             self.create_publisher(TFMessage, "/tf", **overridable(TF)) if self._child else None
@@ -90,7 +88,6 @@ class AlignNode(Node):
         if not self._tf:
             topic = self._aligned.topic_name
             self.get_logger().info(f"aligns pictures while somebody hears {topic}")
-        Diagnostics(self, self._health.name, self._health.report)
 
     def align(self) -> None:
         """Aligns pictures until ROS ends."""
@@ -120,23 +117,12 @@ class AlignNode(Node):
         self._aligned.publish(PoseWithCovarianceStamped(header=header, pose=pose))
         if self._tf:
             self._tf.publish(TFMessage(transforms=[transform(header, self._child, pose.pose)]))
-        latency = (self.get_clock().now().nanoseconds - taken.stamp) / SECOND
-        self._health.well(latency, time.perf_counter() - began)
+        self._health.well(taken.stamp, began)
         self._health.figures = found.figures()
 
     def _refined(self, taken: Taken[Straightened]) -> Refined:
-        camera, near, far = taken.optics.camera, self._pictures.near, self._pictures.far
-        world_to_camera = camera.world_to_camera @ taken.world_to_lens
-        self._map.publish_cameras(
-            "", [replace(camera, world_to_camera=world_to_camera, near=near, far=far)]
-        )
-        return _converged(
-            refined(self._map.renderer, taken, taken.optics, near, far, self._patience)
-        )
-
-    def _anywhere(self, taken: Taken[Straightened]) -> Refined:
-        near, far = self._pictures.near, self._pictures.far
-        return _converged(self._places.found(self._map.renderer, taken, near, far, self._patience))
+        self._map.publish_cameras("", [taken.camera(taken.optics.camera)])
+        return _converged(refined(self._map.renderer, taken, taken.optics, self._patience))
 
     # --- The service ------------------------------------------------------------------------------
 
@@ -160,7 +146,11 @@ class AlignNode(Node):
         response = call.response
         try:
             taken = self._asked(call.request)
-            found = (self._anywhere if call.request.anywhere else self._refined)(taken)
+            if call.request.anywhere:
+                renderer = self._map.renderer
+                found = _converged(self._places.found(renderer, taken, self._patience))
+            else:
+                found = self._refined(taken)
         except NoPicture as none:
             response.problem = str(none)
             return
@@ -179,7 +169,7 @@ class AlignNode(Node):
         image = request.image if request.image.width else self._pictures.newest
         if image is None:
             raise NoPicture("without a picture", "no picture has come on image_raw")
-        return self._pictures.read(image, start)
+        return self._pictures.reader.read(image, start)
 
     def _start(self, request: Align.Request) -> Pose:
         frame = request.start.header.frame_id

@@ -13,27 +13,22 @@ import sys
 import time
 
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 
 from rosplat_core.lens_warps import Straightened, Warp
 from rosplat_core.lenses import Lens
 from rosplat_msgs.msg import Comparison
-from rosplat_ros.diagnostics import Diagnostics
 from rosplat_ros.images import to_image
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import run_node
-from rosplat_ros.qos import overridable
+from rosplat_ros.qos import PICTURES, overridable
 from rosplat_tools.cameras import compare_bag, comparison
 from rosplat_tools.cameras.comparer import compare
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.cameras.health import NoPicture
-from rosplat_tools.cameras.pose_history import SECOND
 from rosplat_tools.cameras.refining import refined
 from rosplat_tools.cameras.residual_map import ResidualMap
 from rosplat_tools.cameras.taken_pictures import Taken, TakenPictures
-
-PICTURES = QoSProfile(depth=5)
 
 
 class Compare(Node):
@@ -50,7 +45,6 @@ class Compare(Node):
         self._difference = self.create_publisher(Image, "difference", **overridable(PICTURES))
         self._metrics = self.create_publisher(Comparison, "metrics", **overridable(PICTURES))
         self._health = self._pictures.health
-        Diagnostics(self, self._health.name, self._health.report)
 
     def compare(self) -> None:
         """Compares pictures until ROS ends."""
@@ -65,9 +59,9 @@ class Compare(Node):
 
     def _compare(self, taken: Taken[_Optics]) -> None:
         began = time.perf_counter()
-        near, far = self._pictures.near, self._pictures.far
-        self._map.publish_cameras("", taken.optics.warp.cameras(taken.world_to_lens, near, far))
-        found = compare(self._map.renderer, taken, taken.optics.warp, near, far)
+        warp = taken.optics.warp
+        self._map.publish_cameras("", warp.cameras(taken.world_to_lens, *taken.clip))
+        found = compare(self._map.renderer, taken, warp)
         if taken.optics.straightened:
             self._align(taken, taken.optics.straightened, found.figures)
         self._metrics.publish(found.figures)
@@ -77,15 +71,13 @@ class Compare(Node):
         ):
             publisher.publish(to_image(pixels, "rgb8", taken.header))
         if self._residuals:
-            self._residuals.add(found, near, far)
-        latency = (self.get_clock().now().nanoseconds - taken.stamp) / SECOND
-        self._health.well(latency, time.perf_counter() - began)
+            self._residuals.add(found, warp, taken)
+        self._health.well(taken.stamp, began)
 
     def _align(
         self, taken: Taken[_Optics], straightened: Straightened, message: Comparison
     ) -> None:
-        near, far = self._pictures.near, self._pictures.far
-        found = refined(self._map.renderer, taken, straightened, near, far)
+        found = refined(self._map.renderer, taken, straightened)
         message.aligned = found.alignment.converged
         if message.aligned:
             message.correction = found.correction()

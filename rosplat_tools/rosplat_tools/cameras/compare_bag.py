@@ -30,7 +30,7 @@ from rosplat_tools.cameras.health import NoPicture
 from rosplat_tools.cameras.pose_history import Pose, PoseError, PoseHistory
 from rosplat_tools.cameras.poses import nanoseconds
 from rosplat_tools.cameras.taken_pictures import PictureReader
-from rosplat_tools.frames import FrameError, Frames
+from rosplat_tools.frames import Frames
 
 ALWAYS = 1e9  # how far back poses are kept [s]
 TF, TF_STATIC = "/tf", "/tf_static"
@@ -122,7 +122,7 @@ class Bag:
             )
 
     def pose(self, image: Image) -> Pose:
-        """Where a picture was taken. Raises FrameError or PoseError."""
+        """Where a picture was taken. Raises PoseError."""
         if self._tf:
             return self._tf.pose(
                 image.header.frame_id, self._frame, nanoseconds(image.header.stamp)
@@ -141,6 +141,8 @@ def compare_all(
 
     Reasons of the same words, whatever their numbers, are one: the first that came up.
     """
+    if bag.info:
+        reader.lens.hear(bag.info)
     figures: list[Comparison] = []
     left_out: Counter[str] = Counter()
     reasons: dict[str, str] = {}  # by their words
@@ -148,9 +150,9 @@ def compare_all(
         for _, image in bags.messages(bag.path, {bag.image: Image}):
             drawn.update()
             try:
-                taken = reader.read(image, bag.info, bag.pose(image))
+                taken = reader.read(image, bag.pose(image))
                 figures.append(compare(bag.renderer, taken, taken.optics).figures)
-            except (NoPicture, FrameError, PoseError) as error:
+            except (NoPicture, PoseError) as error:
                 reason = shown(error, 200)
                 left_out[reasons.setdefault(words_of(reason), reason)] += 1
     return figures, left_out

@@ -29,47 +29,32 @@ class Compared:
     """(height, width) errors of pixels, as of comparison.errors."""
     mask: NDArray[np.bool_]
     """(height, width) true of pixels that count."""
-    warp: Warp
-    world_to_lens: NDArray[np.float64]
 
 
-def compare(
-    renderer: CpuRenderer, taken: Taken[Any], warp: Warp, near: float = 0.01, far: float = 1e6
-) -> Compared:
+def compare(renderer: CpuRenderer, taken: Taken[Any], warp: Warp) -> Compared:
     """Draws a renderer's map as a picture was taken, and measures how they differ.
 
-    near, far: splats between these depths are drawn [m]. Raises NoPicture.
+    Raises NoPicture.
     """
     mask = taken.counts & warp.met
     if not mask.any():
         raise NoPicture("masked", "the mask leaves no pixel")
-    world_to_lens = taken.world_to_lens
+    near, far = taken.clip
     with drawn():
-        colour = take_picture(renderer, warp, world_to_lens, near=near, far=far).colour
+        colour = take_picture(renderer, warp, taken.world_to_lens, near=near, far=far).colour
     rendered = to_bytes(colour)  # in 8 bits, as the camera's
-    figures, errors = _measured(rendered, taken.colours, mask)
-    figures.header = taken.header
-    figures.map_id, figures.revision = renderer.map.map_id, renderer.map.revision
-    return Compared(figures, rendered, errors, mask, warp, world_to_lens)
-
-
-def _measured(
-    rendered: NDArray[np.uint8], real: NDArray[np.uint8], mask: NDArray[np.bool_]
-) -> tuple[Comparison, NDArray[np.float32]]:
-    """The figures of two pictures, and the errors of pixels, (height, width)."""
-    ours, theirs = (picture.astype(np.float32) / np.float32(255) for picture in (rendered, real))
-    exposure = comparison.fit_exposure(ours, theirs, mask)
-    plain = comparison.figures(ours, theirs, mask)
-    fitted = comparison.figures(exposure.apply(ours), theirs, mask)
-    message = Comparison(
-        pixels=int(mask.sum()),
-        psnr=plain.psnr,
-        ssim=plain.ssim,
-        explained=plain.explained,
-        gain=exposure.gain,
-        bias=exposure.bias,
-        fitted_psnr=fitted.psnr,
-        fitted_ssim=fitted.ssim,
-        fitted_explained=fitted.explained,
+    ours, theirs = (
+        picture.astype(np.float32) / np.float32(255) for picture in (rendered, taken.colours)
     )
-    return message, comparison.errors(ours, theirs)
+    exposure = comparison.fit_exposure(ours, theirs, mask)
+    fitted = comparison.figures(exposure.apply(ours), theirs, mask)
+    figures = Comparison(
+        header=taken.header,
+        map_id=renderer.map.map_id,
+        revision=renderer.map.revision,
+        pixels=int(mask.sum()),
+        **vars(comparison.figures(ours, theirs, mask)),
+        **vars(exposure),
+        **{f"fitted_{name}": value for name, value in vars(fitted).items()},
+    )
+    return Compared(figures, rendered, comparison.errors(ours, theirs), mask)

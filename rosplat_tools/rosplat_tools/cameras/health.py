@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
+from rclpy.node import Node
+
 from rosplat_core.log_text import shown
-from rosplat_ros.diagnostics import Report
+from rosplat_ros.diagnostics import Diagnostics, Report
 from rosplat_ros.program.said_once import SaidOnce
 
 
@@ -29,15 +32,16 @@ def drawn(kind: str = "not drawn") -> Iterator[None]:
 
 
 class Health:
-    """Counts troubles and pictures of one camera."""
+    """Counts troubles and pictures of one camera, and reports them to /diagnostics."""
 
-    def __init__(self, name: str, warn: Callable[[str], object]) -> None:
-        self.name = name
-        self._problem = SaidOnce(lambda text: warn(f"{name}: {text}"))
+    def __init__(self, node: Node, name: str) -> None:
+        self._node = node
+        self._problem = SaidOnce(lambda text: node.get_logger().warning(f"{name}: {text}"))
         self.counts: Counter[str] = Counter()
-        self.latency = self.drawing = 0.0  # of the last picture [s]
+        self._latency = self._drawing = 0.0  # of the last picture [s]
         self.figures: Mapping[str, object] = {}
         """Further values of the last picture, for /diagnostics."""
+        Diagnostics(node, name, self._report)
 
     def trouble(self, kind: str, text: object) -> None:
         """Counts a picture that can't be had, by the kind of reason, and logs the text."""
@@ -48,17 +52,17 @@ class Health:
         """Logs that nothing has come to make a picture of; counts nothing."""
         self._problem.say(text)
 
-    def well(self, latency: float, drawing: float) -> None:
-        """Counts a picture. latency: since its stamp; drawing: since its drawing began. [s]"""
+    def well(self, stamp: int, began: float) -> None:
+        """Counts a picture. began: when its drawing did, of time.perf_counter()."""
         self.counts["pictures"] += 1
-        self.latency, self.drawing = latency, drawing
+        self._drawing = time.perf_counter() - began
+        self._latency = 1e-9 * (self._node.get_clock().now().nanoseconds - stamp)
         self._problem.say("")
 
-    def report(self) -> Report:
-        """For /diagnostics."""
+    def _report(self) -> Report:
         figures = {
-            "Latency (s)": round(self.latency, 4),
-            "Drawing (s)": round(self.drawing, 4),
+            "Latency (s)": round(self._latency, 4),
+            "Drawing (s)": round(self._drawing, 4),
             **self.figures,
             **{kind.capitalize(): count for kind, count in self.counts.items()},
         }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,24 +36,14 @@ class Places:
         self._drawn: tuple[object, ...] = ()
         self._search: Relocaliser | None = None
 
-    def found(
-        self,
-        renderer: CpuRenderer,
-        taken: Taken[Straightened],
-        near: float,
-        far: float,
-        patience: float,
-    ) -> Refined:
-        """Where a picture was taken; near, far: as in compare(), patience: as of Relocaliser.
-
-        Raises NoPicture.
-        """
+    def found(self, renderer: CpuRenderer, taken: Taken[Straightened], patience: float) -> Refined:
+        """Where a picture was taken; patience: as of Relocaliser. Raises NoPicture."""
         if not self._poses:
             raise NoPicture("without a pose", "the parameter places names no file")
         drawn_of = renderer.map.map_id, renderer.map.revision, taken.optics
         with drawn():
             if not self._search or self._drawn != drawn_of:
-                camera = replace(taken.optics.camera, near=near, far=far)
+                camera = taken.camera(taken.optics.camera)
                 self._search, self._drawn = Relocaliser(renderer, camera, self._poses), drawn_of
             colours, counts = taken.optics.picture(taken.colours, taken.counts)
             found = self._search.relocalise(colours, counts, patience=patience)

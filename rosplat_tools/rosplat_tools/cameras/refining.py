@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -59,16 +59,11 @@ def refined(
     renderer: CpuRenderer,
     taken: Taken[Any],
     straightened: Straightened,
-    near: float,
-    far: float,
     patience: float = math.inf,
 ) -> Refined:
-    """Refines a picture's pose; near, far: as in compare(), patience: as of align().
-
-    Raises NoPicture.
-    """
+    """Refines a picture's pose; patience: as of align(). Raises NoPicture."""
     colours, counts = straightened.picture(taken.colours, taken.counts)
-    camera = replace(straightened.camera, world_to_camera=taken.world_to_lens, near=near, far=far)
+    camera = taken.camera(straightened.camera)
     with drawn():
         found = align(renderer, colours, camera, counts, patience=patience)
     return Refined.of(found, taken)

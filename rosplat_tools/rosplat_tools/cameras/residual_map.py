@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
 
+from rosplat_core.lens_warps import Warp
 from rosplat_core.rendering import Contributions, posed
 from rosplat_msgs.msg import GaussianArray
 from rosplat_ros.batches import slots_of
 from rosplat_ros.map_publisher import MapPublisher
 from rosplat_tools.cameras.comparer import Compared
 from rosplat_tools.cameras.drawn_map import DrawnMap
+from rosplat_tools.cameras.taken_pictures import Taken
 
 Value = TypeVar("Value", bound=np.generic)
 
@@ -58,13 +60,13 @@ class ResidualMap:
         self._written[slots] = True
         self._sums[:, slots[slots < self._sums.shape[1]]] = 0
 
-    def add(self, found: Compared, near: float, far: float) -> None:
+    def add(self, found: Compared, warp: Warp, taken: Taken[Any]) -> None:
         """Deals the errors of those of a picture's pixels that count."""
         counts = found.mask.astype(np.float32)
         renderer = self._map.renderer
-        sheets = found.warp.sheets(renderer.model)
+        sheets = warp.sheets(renderer.model)
         of_pixels = zip(
-            sheets.cameras(found.world_to_lens, near, far),
+            sheets.cameras(taken.world_to_lens, *taken.clip),
             sheets.back(found.errors * counts),
             sheets.back(counts),
             strict=True,

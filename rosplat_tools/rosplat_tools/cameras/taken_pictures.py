@@ -9,33 +9,32 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+from dataclasses import dataclass, replace
+from typing import Generic
 
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
+from rosplat_core.cameras import Camera
 from rosplat_core.lenses import Lens
 from rosplat_ros.images import from_image, read_mask
 from rosplat_ros.program.parameters import declare, declare_clip, declare_path
+from rosplat_ros.qos import PICTURES
 from rosplat_tools.cameras import calibrations
 from rosplat_tools.cameras.drawn_map import DrawnMap
 from rosplat_tools.cameras.health import Health, NoPicture
+from rosplat_tools.cameras.heard_lens import HeardLens, Optics
 from rosplat_tools.cameras.pose_history import Pose, PoseError
 from rosplat_tools.cameras.poses import declare_poses, nanoseconds
 from rosplat_tools.latched import LatchedSubscription
 
-# Until publishers are known, as of best effort a busy machine loses most pictures.
-PICTURES = QoSProfile(depth=5)
 WAITING = 8  # pictures that wait for their poses
+CLIP = 0.01, 1e6  # depths between which splats are drawn, by default [m]
 SILENCE = 5.0  # after which the log says that no picture has come [s]
 PATIENCE = 1.0  # how long pictures wait for poses before a warning [s]
-
-Optics = TypeVar("Optics")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +52,18 @@ class Taken(Generic[Optics]):
     """(4, 4) from the optical frame into the lens's; the identity unless rectified."""
     pose: Pose
     """(4, 4) of the optical frame in the map's, before any refinement. [m]"""
+    clip: tuple[float, float]
+    """Depths between which splats are drawn. [m]"""
 
     @property
     def world_to_lens(self) -> NDArray[np.float64]:
         """(4, 4) [m]"""
         return np.asarray(self.rotation @ np.linalg.inv(self.pose), np.float64)
+
+    def camera(self, pinhole: Camera) -> Camera:
+        """A pinhole camera at the lens's place."""
+        near, far = self.clip
+        return replace(pinhole, world_to_camera=self.world_to_lens, near=near, far=far)
 
     @property
     def stamp(self) -> int:
@@ -74,17 +80,32 @@ class PictureReader(Generic[Optics]):
         *,
         rectified: bool = False,
         mask: NDArray[np.bool_] | None = None,
+        clip: tuple[float, float] = CLIP,
     ) -> None:
         """prepare: called once with each lens; may raise LensError. rectified: whether pictures are
         rectified, by r and p of their CameraInfo. mask (height, width): false where pixels don't
-        count.
+        count. clip: as of Taken.
         """
-        self._prepare, self._rectified, self.mask = prepare, rectified, mask
-        self._lens: tuple[CameraInfo, Optics, Pose] | None = None
+        self._prepare, self._rectified, self.mask, self._clip = prepare, rectified, mask, clip
+        self.lens = HeardLens(self._optics_of, "camera_info", "camera_info")
 
-    def read(self, image: Image, info: CameraInfo | None, pose: Pose) -> Taken[Optics]:
+    def _optics_of(self, info: CameraInfo) -> tuple[Optics, Pose]:
+        turned = np.eye(4)
+        if self._rectified:
+            lens, turned[:3, :3] = calibrations.rectified(info)
+        else:
+            lens = calibrations.lens_of(info)
+        return self._prepare(lens), turned
+
+    def read(self, image: Image, pose: Pose) -> Taken[Optics]:
         """A picture, from where it was taken. Raises NoPicture."""
-        optics, rotation = self._lens_of(image, info)
+        info, (optics, rotation) = self.lens.made()
+        if (image.width, image.height) != (info.width, info.height):
+            raise NoPicture(
+                "of another size",
+                f"a picture is {image.width} x {image.height}, camera_info says "
+                f"{info.width} x {info.height}",
+            )
         try:
             colours = from_image(image)
         except ValueError as error:
@@ -96,28 +117,7 @@ class PictureReader(Generic[Optics]):
             raise NoPicture("of another size", "the mask has another size than pictures")
         elif not counts.any():
             raise NoPicture("masked", "the mask leaves no pixel")
-        return Taken(image.header, colours, counts, optics, rotation, pose)
-
-    def _lens_of(self, image: Image, info: CameraInfo | None) -> tuple[Optics, Pose]:
-        if info is None:
-            raise NoPicture("without a lens", "no CameraInfo has come on camera_info")
-        if (image.width, image.height) != (info.width, info.height):
-            raise NoPicture(
-                "of another size",
-                f"a picture is {image.width} x {image.height}, camera_info says "
-                f"{info.width} x {info.height}",
-            )
-        if not self._lens or self._lens[0] is not info:
-            turned = np.eye(4)
-            try:
-                if self._rectified:
-                    lens, turned[:3, :3] = calibrations.rectified(info)
-                else:
-                    lens = calibrations.lens_of(info)
-                self._lens = info, self._prepare(lens), turned
-            except ValueError as error:  # LensError, or beyond what float32 or int64 holds
-                raise NoPicture("without a lens", f"camera_info is refused: {error}") from error
-        return self._lens[1:]
+        return Taken(image.header, colours, counts, optics, rotation, pose, self._clip)
 
 
 class TakenPictures(Generic[Optics]):
@@ -130,19 +130,19 @@ class TakenPictures(Generic[Optics]):
         """
         rectified = declare(node, "rectified", False, "Pictures are rectified, by r and p.")
         mask = declare_path(node, "mask", "", "Picture file, black where pixels don't count.")
-        self.near, self.far = declare_clip(node)
+        clip = declare_clip(node)
         pixels = read_mask(mask) if mask else None
-        self._reader = PictureReader(prepare, rectified=rectified, mask=pixels)
+        self.reader = PictureReader(prepare, rectified=rectified, mask=pixels, clip=clip)
         self._map = drawn_map
-        self._poses = declare_poses(node, [""], drawn_map.came.set)
+        self._poses = declare_poses(node, [""], drawn_map.came.set)[""]
         self._images: deque[Image] = deque(maxlen=WAITING)
         self._began = self._poseless_since = time.monotonic()  # since when pictures wait for poses
-        self._info: CameraInfo | None = None
         self.newest: Image | None = None
         """The last picture that came, whether or not it was used."""
-        self.health = Health(node.resolve_topic_name("image_raw"), node.get_logger().warning)
+        self.health = Health(node, node.resolve_topic_name("image_raw"))
+        # Reliable until publishers are known: of best effort, a busy machine loses most pictures.
         LatchedSubscription(node, Image, "image_raw", self._on_image, PICTURES)
-        LatchedSubscription(node, CameraInfo, "camera_info", self._on_info, PICTURES)
+        LatchedSubscription(node, CameraInfo, "camera_info", self.reader.lens.hear, PICTURES)
         LatchedSubscription(node, Image, "mask", self._on_mask, PICTURES)
 
     # --- What ROS hands over ----------------------------------------------------------------------
@@ -152,14 +152,9 @@ class TakenPictures(Generic[Optics]):
         self._images.append(image)
         self._map.came.set()
 
-    def _on_info(self, info: CameraInfo) -> None:
-        info.header = Header()  # with another time it is the same calibration
-        if info != self._info:
-            self._info = info
-
     def _on_mask(self, image: Image) -> None:
         try:
-            self._reader.mask = np.asarray(from_image(image).any(axis=-1))
+            self.reader.mask = np.asarray(from_image(image).any(axis=-1))
         except ValueError as error:
             self.health.trouble("masks", f"a mask is left out: {error}")
 
@@ -196,12 +191,8 @@ class TakenPictures(Generic[Optics]):
             self._poseless_since = now
             self._drop(number + 1)
             self.health.counts["skipped"] += number
-            return self.read(image, pose)
+            return self.reader.read(image, pose)
         return None
-
-    def read(self, image: Image, pose: Pose) -> Taken[Optics]:
-        """A picture, from where it was taken. Raises NoPicture."""
-        return self._reader.read(image, self._info, pose)
 
     def _drop(self, count: int) -> None:
         for _ in range(min(count, len(self._images))):
@@ -210,4 +201,4 @@ class TakenPictures(Generic[Optics]):
     def _pose_of(self, image: Image) -> Pose:
         header = image.header
         when = nanoseconds(header.stamp)
-        return self._poses.at("", header.frame_id, self._map.frame_id, when)
+        return self._poses.pose(header.frame_id, self._map.frame_id, when)[1]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -31,12 +32,12 @@ from rosplat_ros.images import to_bytes, to_image
 from rosplat_ros.poses import pose_of, to_quaternion, to_vector
 from rosplat_ros.program.parameters import declare
 from rosplat_ros.program.running import run_node
-from rosplat_ros.qos import LATCHED, overridable
+from rosplat_ros.qos import overridable
 from rosplat_ros.view_cameras import view_camera
 from rosplat_tools.cameras.calibrations import of_pinhole
 from rosplat_tools.cameras.pose_history import SECOND
 from rosplat_tools.emulation.flight import CAMERA_OFFSET, Flight, Motion
-from rosplat_tools.frames import TF, TFMessage, transform
+from rosplat_tools.frames import TFMessage, tf_publishers, transform
 
 # Reliable: such a publisher serves best-effort subscribers, too. Deep: late ticks send bursts.
 SENSOR = QoSProfile(depth=100)
@@ -97,19 +98,14 @@ class DemoSensors(Node):
         self._flight: Flight | None = None
         self._frame_id = ""  # the map's, since the path is laid
         self._trail: deque[PoseStamped] = deque(maxlen=round(self._period * IMAGE_RATE))
-        self._picture: _Picture | None = None
+        self._asked: tuple[Future, float] | None = None  # for a picture, and when
 
         self._imu = self.create_publisher(Imu, "imu/data", **overridable(SENSOR))
         self._image = self.create_publisher(Image, "camera/image_raw", **overridable(SENSOR))
         self._info = self.create_publisher(CameraInfo, "camera/camera_info", **overridable(SENSOR))
         self._pose = self.create_publisher(PoseStamped, "camera/pose", **overridable(SENSOR))
         self._path = self.create_publisher(Path, "camera/path", **overridable(SENSOR))
-        self._tf = self._tf_static = None
-        if TFMessage:
-            self._tf = self.create_publisher(TFMessage, "/tf", **overridable(TF))
-            self._tf_static = self.create_publisher(TFMessage, "/tf_static", **overridable(LATCHED))
-        else:
-            self.get_logger().info("no tf2_msgs here: TF is left out")
+        self._tf, self._tf_static = tf_publishers(self)
 
         self._map = MapSubscriber(self, GaussianMap(), most_sh_degree=0)
         self._map.applied = self._on_batch
@@ -188,55 +184,39 @@ class DemoSensors(Node):
     def _request_picture(self, camera: Camera, stamp: Time) -> None:
         view = view_camera(camera)
         view.header = Header(stamp=stamp, frame_id=self._frame_id)
-        self._publish_pose(PoseStamped(header=view.header, pose=view.pose))
-        if self._picture:
-            if time.monotonic() - self._picture.asked < PICTURE_TIMEOUT:
+        pose = PoseStamped(header=view.header, pose=view.pose)
+        self._pose.publish(pose)
+        self._trail.append(pose)
+        self._path.publish(Path(header=pose.header, poses=list(self._trail)))
+        if self._asked:
+            future, when = self._asked
+            if time.monotonic() - when < PICTURE_TIMEOUT:
                 return
-            self._renderer.remove_pending_request(self._picture.future)
-            self._picture = None
+            self._renderer.remove_pending_request(future)
+            self._asked = None
         if not self._renderer.service_is_ready():
             return
         request = RenderView.Request(camera=view, order_timeout=ORDER_TIMEOUT)
         future = self._renderer.call_async(request)
-        self._picture = _Picture(camera, stamp, future, asked=time.monotonic())
-        future.add_done_callback(self._on_picture)
+        self._asked = future, time.monotonic()
+        future.add_done_callback(partial(self._on_picture, camera, stamp))
 
-    def _on_picture(self, future: Future) -> None:
-        picture = self._picture
-        if not picture or picture.future is not future:
+    def _on_picture(self, camera: Camera, stamp: Time, future: Future) -> None:
+        if not self._asked or self._asked[0] is not future:
             return
-        self._picture = None
-        response = future.result()
+        self._asked = None
         try:
-            pixels = _pixels(response, picture.camera)
+            pixels = _pixels(future.result(), camera)
         except ValueError as error:
             self.get_logger().warning(
                 f"{self._topic}/render: no picture of the map: {error}", throttle_duration_sec=10.0
             )
             return
-        self._publish_picture(picture.camera, picture.stamp, pixels)
-
-    def _publish_picture(self, camera: Camera, stamp: Time, pixels: NDArray[np.uint8]) -> None:
         header = Header(stamp=stamp, frame_id=CAMERA)
         self._image.publish(to_image(pixels, "rgb8", header))
         info = of_pinhole(camera)
         info.header = header
         self._info.publish(info)
-
-    def _publish_pose(self, pose: PoseStamped) -> None:
-        self._pose.publish(pose)
-        self._trail.append(pose)
-        self._path.publish(Path(header=pose.header, poses=list(self._trail)))
-
-
-@dataclass(frozen=True, eq=False)
-class _Picture:
-    """A picture that a renderer was asked for."""
-
-    camera: Camera
-    stamp: Time
-    future: Future
-    asked: float
 
 
 def _time(stamp: int) -> Time:

@@ -14,6 +14,7 @@ from std_msgs.msg import Header
 from rosplat_core.splats import InputError
 from rosplat_ros.messages import as_array
 from rosplat_ros.program.parameters import declare
+from rosplat_ros.qos import PICTURES, overridable
 from rosplat_tools.clouds import cloud
 from rosplat_tools.lidars.scanning import Lidar, Pattern, Scan
 
@@ -56,41 +57,56 @@ def declare_lidar(node: Node, prefix: str = "") -> tuple[Lidar, float]:
     return Lidar(Pattern.of(rings, columns, *angles), nearest, farthest), rate
 
 
-def points_message(header: Header, pattern: Pattern, scan: Scan, period: float) -> PointCloud2:
-    """Points that answer, in the lidar's frame; what doesn't is left out.
+class ScanTopics:
+    """The topics of a lidar: `points` and `scan`."""
 
-    period: time of a turn [s]; a point's time is since the header's stamp, which all columns were
-    drawn at.
-    """
-    answers = np.isfinite(scan.ranges)
-    columns, rings = len(pattern.azimuths), len(pattern.elevations)
-    rows = np.empty(int(answers.sum()), _POINT)
-    points = pattern.rays[answers] * scan.ranges[answers, None]
-    rows["x"], rows["y"], rows["z"] = points.T
-    rows["intensity"] = scan.intensities[answers]
-    rows["ring"] = np.tile(np.arange(rings), columns)[answers]
-    rows["time"] = np.repeat(np.arange(columns) * (period / columns), rings)[answers]
-    return cloud(header, rows)
+    def __init__(self, node: Node, lidar: Lidar, rate: float) -> None:
+        """rate: scans in a second [Hz]."""
+        self._lidar, self._period = lidar, 1 / rate
+        self._points = node.create_publisher(PointCloud2, "points", **overridable(PICTURES))
+        self._scan = node.create_publisher(LaserScan, "scan", **overridable(PICTURES))
 
+    def heard(self) -> bool:
+        """Whether somebody hears them."""
+        return any(p.get_subscription_count() for p in (self._points, self._scan))
 
-def scan_message(
-    header: Header, pattern: Pattern, scan: Scan, limits: tuple[float, float], period: float
-) -> LaserScan:
-    """The ring that is nearest to the plane of x and y, as a planar scan; inf: nothing answers."""
-    ring = int(np.abs(pattern.elevations).argmin())
-    columns = len(pattern.azimuths)
-    ranges: NDArray[np.float32] = scan.ranges.reshape(columns, -1)[:, ring]
-    ranges = ranges * np.float32(np.cos(pattern.elevations[ring]))
-    step = float(np.diff(pattern.azimuths[:2])[0]) if columns > 1 else 0.0
-    return LaserScan(
-        header=header,
-        angle_min=float(pattern.azimuths[0]),
-        angle_max=float(pattern.azimuths[-1]),
-        angle_increment=step,
-        time_increment=period / columns,
-        scan_time=period,
-        range_min=limits[0],
-        range_max=limits[1],
-        ranges=as_array("f", ranges),
-        intensities=as_array("f", scan.intensities.reshape(columns, -1)[:, ring].copy()),
-    )
+    def publish(self, header: Header, scan: Scan) -> None:
+        """Publishes a scan of the lidar."""
+        self._points.publish(self._cloud(header, scan))
+        self._scan.publish(self._planar(header, scan))
+
+    def _cloud(self, header: Header, scan: Scan) -> PointCloud2:
+        """Points that answer, in the lidar's frame; what doesn't is left out.
+
+        A point's time is since the header's stamp, which all columns were drawn at.
+        """
+        pattern, answers = self._lidar.pattern, np.isfinite(scan.ranges)
+        columns, rings = len(pattern.azimuths), len(pattern.elevations)
+        rows = np.empty(int(answers.sum()), _POINT)
+        points = pattern.rays[answers] * scan.ranges[answers, None]
+        rows["x"], rows["y"], rows["z"] = points.T
+        rows["intensity"] = scan.intensities[answers]
+        rows["ring"] = np.tile(np.arange(rings), columns)[answers]
+        times = np.repeat(np.arange(columns) * (self._period / columns), rings)
+        rows["time"] = times[answers]
+        return cloud(header, rows)
+
+    def _planar(self, header: Header, scan: Scan) -> LaserScan:
+        """The ring that is nearest to the plane of x and y; inf: nothing answers."""
+        pattern = self._lidar.pattern
+        ring = int(np.abs(pattern.elevations).argmin())
+        columns = len(pattern.azimuths)
+        ranges: NDArray[np.float32] = scan.ranges.reshape(columns, -1)[:, ring]
+        ranges = ranges * np.float32(np.cos(pattern.elevations[ring]))
+        return LaserScan(
+            header=header,
+            angle_min=float(pattern.azimuths[0]),
+            angle_max=float(pattern.azimuths[-1]),
+            angle_increment=float(np.diff(pattern.azimuths[:2])[0]) if columns > 1 else 0.0,
+            time_increment=self._period / columns,
+            scan_time=self._period,
+            range_min=self._lidar.limits[0],
+            range_max=self._lidar.limits[1],
+            ranges=as_array("f", ranges),
+            intensities=as_array("f", scan.intensities.reshape(columns, -1)[:, ring].copy()),
+        )

@@ -48,7 +48,8 @@ from rosplat_ros.program.parameters import declare, declare_path
 from rosplat_ros.program.running import run_node
 from rosplat_ros.program.said_once import SaidOnce
 from rosplat_ros.qos import LATCHED, overridable
-from rosplat_tools.frames import FrameError, Frames
+from rosplat_tools.cameras.pose_history import PoseError
+from rosplat_tools.frames import Frames
 from rosplat_tools.obstacles.obstacle_messages import (
     distances_message,
     grid_message,
@@ -179,7 +180,7 @@ class Occupancy(Node):
             return problem
         try:
             self._follow_frames()
-        except FrameError as error:
+        except PoseError as error:
             return str(error)
         if not self._make_fit():
             return (
@@ -315,7 +316,7 @@ class Occupancy(Node):
         try:
             self._frames = self._frames or Frames(self)
             return self._frames.pose(frame, published)[1]
-        except (InputError, FrameError) as error:
+        except (InputError, PoseError) as error:
             raise InputError(f"points in '{shown(frame)}': {error}") from error
 
     def _whole_field(self) -> DistanceField:

@@ -7,30 +7,27 @@ import math
 import numpy as np
 from builtin_interfaces.msg import Time
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import CameraInfo, Image, LaserScan, PointCloud2
+from rclpy.time import Time as RosTime
+from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from rosplat_core.rendering import CpuRenderer
 from rosplat_core.rigid import placed
 from rosplat_ros.images import to_image
-from rosplat_ros.qos import overridable
+from rosplat_ros.qos import PICTURES, overridable
 from rosplat_tools.cameras.calibrations import of_pinhole
-from rosplat_tools.lidars.lidar_messages import points_message, scan_message
+from rosplat_tools.cameras.pose_history import SECOND
+from rosplat_tools.lidars.lidar_messages import ScanTopics
 from rosplat_tools.lidars.scanning import Lidar, Scan
 from rosplat_tools.simulation.robot_model import RobotModel
 from rosplat_tools.simulation.splat_camera import SplatCamera
 
-# Reliable: such a publisher serves best-effort subscribers, too.
-PICTURES = QoSProfile(depth=5)
-SECOND = 1_000_000_000  # [ns]
 LIDAR = "lidar"  # the site where a model has one
 
 
 def stamp_of(seconds: float) -> Time:
     """A simulated time as a message's."""
-    sec, nanosec = divmod(round(seconds * SECOND), SECOND)
-    return Time(sec=sec, nanosec=nanosec)
+    return RosTime(nanoseconds=round(seconds * SECOND)).to_msg()
 
 
 def optical(camera: str) -> str:
@@ -77,15 +74,14 @@ class CameraTopics:
 class LidarTopics:
     """A lidar at the site of a model that is named so."""
 
-    def __init__(self, node: Node, lidar: Lidar, ticks: int, period: float) -> None:
-        """ticks: of simulated time between two scans; period: of a turn [s]."""
-        self.ticks, self._period, self._lidar = ticks, period, lidar
-        self._points = node.create_publisher(PointCloud2, "points", **overridable(PICTURES))
-        self._scan = node.create_publisher(LaserScan, "scan", **overridable(PICTURES))
+    def __init__(self, node: Node, lidar: Lidar, rate: float, ticks: int) -> None:
+        """rate: scans in a second [Hz]. ticks: of simulated time between two scans."""
+        self.ticks, self._lidar = ticks, lidar
+        self._topics = ScanTopics(node, lidar, rate)
 
     def publish(self, stamp: Time, robot: RobotModel, eye: SplatCamera) -> None:
         """Measures now, if somebody hears it."""
-        if not any(p.get_subscription_count() for p in (self._points, self._scan)):
+        if not self._topics.heard():
             return
         assert isinstance(eye.renderer, CpuRenderer)  # the node's own
         site = robot.sites[LIDAR]
@@ -95,10 +91,7 @@ class LidarTopics:
         rays = self._lidar.pattern.rays @ pose[:3, :3].T
         body = int(robot.model.site_bodyid[site])
         scan = _nearer(scan, robot.cast(pose[:3, 3], rays, body), self._lidar.limits)
-        header = Header(stamp=stamp, frame_id=LIDAR)
-        pattern, limits = self._lidar.pattern, self._lidar.limits
-        self._points.publish(points_message(header, pattern, scan, self._period))
-        self._scan.publish(scan_message(header, pattern, scan, limits, self._period))
+        self._topics.publish(Header(stamp=stamp, frame_id=LIDAR), scan)
 
 
 def _nearer(scan: Scan, distances: np.ndarray, limits: tuple[float, float]) -> Scan:

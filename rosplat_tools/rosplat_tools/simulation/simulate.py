@@ -237,9 +237,8 @@ class Simulate(Node):
         if not sensors:
             self.get_logger().info(f"{shown(self._file.stem)} has no camera: it takes no pictures")
         if LIDAR in robot.sites:
-            period = 1 / self._lidar_rate
             ticks = ticks_of(self._lidar_rate, TICK)
-            sensors.append(LidarTopics(self, self._lidar, ticks, period))
+            sensors.append(LidarTopics(self, self._lidar, self._lidar_rate, ticks))
         for name in robot.actuators:
             self.create_subscription(
                 Float64, f"actuators/{name}", self._commander(name), **overridable(COMMANDS)

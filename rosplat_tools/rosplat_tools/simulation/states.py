@@ -17,7 +17,7 @@ from rosplat_core.quaternions import from_matrices
 from rosplat_core.rigid import placed
 from rosplat_ros.poses import to_pose, to_quaternion, to_vector
 from rosplat_ros.qos import LATCHED, overridable
-from rosplat_tools.frames import TF, TFMessage, transform
+from rosplat_tools.frames import TFMessage, tf_publishers, transform
 from rosplat_tools.simulation.body_pictures import OPTICAL
 from rosplat_tools.simulation.robot_model import RobotModel, another
 from rosplat_tools.simulation.sensors import LIDAR, optical
@@ -47,18 +47,14 @@ class States:
         self._odometry = node.create_publisher(Odometry, "odom", **overridable(SENSOR))
         self._imu = node.create_publisher(Imu, "imu", **overridable(SENSOR))
         self._sensors: dict[int, Publisher] = {}
-        self._tf = self._tf_static = self._shapes = None
+        self._tf, self._tf_static = tf_publishers(node)
+        self._shapes: Publisher | None = None
         self._viewers = 0  # of the markers
         self._since = 0  # states since there was a new one, or time began anew
-        if TFMessage and MarkerArray:
+        if self._tf and MarkerArray:
             self._shapes = node.create_publisher(
                 MarkerArray, "robot_markers", **overridable(LATCHED)
             )
-        if TFMessage:
-            self._tf = node.create_publisher(TFMessage, "/tf", **overridable(TF))
-            self._tf_static = node.create_publisher(TFMessage, "/tf_static", **overridable(LATCHED))
-        else:
-            node.get_logger().info("no tf2_msgs here: TF is left out")
 
     def stand(self, robot: RobotModel, map_frame: str, map_pose: Array) -> None:
         """From now on, publishes the state of this robot. map_pose: (4, 4) of the map in the
