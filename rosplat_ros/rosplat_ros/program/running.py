@@ -53,7 +53,7 @@ class Cancelled(Exception):
 def run(program: str, body: Callable[[], None], *, sends_maps: bool = True) -> None:
     """Runs body with ROS set up until it returns, or SIGINT or SIGTERM interrupts it.
 
-    A InputError, RuntimeError, OSError or MemoryError ends the program by a line, with code 1, as
+    An InputError, RuntimeError, OSError or MemoryError ends the program by a line, with code 1, as
     does a parameter of a wrong type, even use_sim_time, which rclpy reads. sends_maps: as of
     prepare_fast_dds.
     """

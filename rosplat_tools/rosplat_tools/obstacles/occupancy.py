@@ -50,15 +50,13 @@ from rosplat_ros.program.said_once import SaidOnce
 from rosplat_ros.qos import LATCHED, overridable
 from rosplat_tools.cameras.pose_history import PoseError
 from rosplat_tools.frames import Frames
-from rosplat_tools.obstacles.obstacle_messages import (
-    distances_message,
-    grid_message,
-    surface_message,
-    voxels_message,
-)
+from rosplat_tools.obstacles.obstacle_messages import grid_message, points_message
 
 POLL = 0.2  # longest time between two looks at ROS and at TF [s]
 STILL = 1e-3  # how far a frame may turn before the voxels are built anew [rad]
+VOXEL = ("x", "y", "z")  # fields of clouds, as PCL names them
+SURFACE = (*VOXEL, "normal_x", "normal_y", "normal_z", "rgb")
+DISTANCE = (*VOXEL, "distance")
 MOST_POINTS = 1 << 20  # that are measured at once
 SHRUNK = 0.9  # a map of too many voxels is tried again with at most this share of its splats
 
@@ -251,14 +249,15 @@ class Occupancy(Node):
 
     def _voxels_message(self, header: Header) -> PointCloud2:
         cells, _ = self._voxels.find(self._least_depth)
-        return voxels_message(header, cells, self._resolution)
+        return points_message(header, VOXEL, (cells + 0.5) * self._resolution)
 
     def _surface_message(self, header: Header) -> PointCloud2:
         surface = self._voxels.surface(self._least_depth)
         positions = surface["positions"]
-        viewpoint = np.array([*self._start, self._middle()])
-        normals = towards(positions, surface["normals"], viewpoint)
-        return surface_message(header, positions, normals, surface["colors"])
+        normals = towards(positions, surface["normals"], np.array([*self._start, self._middle()]))
+        r, g, b = np.rint(255 * surface["colors"]).astype(np.uint32).T
+        rgb = (r << 16 | g << 8 | b).view(np.float32)
+        return points_message(header, SURFACE, np.column_stack([positions, normals, rgb]))
 
     def _distances_message(self, header: Header) -> PointCloud2:
         height = self._middle()
@@ -268,9 +267,9 @@ class Occupancy(Node):
             )
         except InputError as error:
             self._no_distances = str(error)
-            return distances_message(header, np.zeros((0, 3)), np.zeros(0))
+            return points_message(header, DISTANCE, np.zeros((0, 4)))
         self._no_distances = ""
-        return distances_message(header, *field.slice_at(height))
+        return points_message(header, DISTANCE, np.column_stack(field.slice_at(height)))
 
     def _middle(self) -> float:
         """Height of the band's middle in the published frame. [m]"""
@@ -331,20 +330,17 @@ class Occupancy(Node):
     # --- What is written --------------------------------------------------------------------------
 
     def _on_save(self, request: SaveMap.Request, response: SaveMap.Response) -> SaveMap.Response:
-        with self._lock:
-            self._map.apply_waiting()
-            return self._save(request, response)
-
-    def _save(self, request: SaveMap.Request, response: SaveMap.Response) -> SaveMap.Response:
         try:
             check_below("save_root", self._save_root, request.path)
             path = Path(request.path)
             for file in (path, path.with_suffix(".pgm")):
                 if file.exists() and not request.overwrite:
                     raise InputError(f"{file}: exists already; set overwrite to replace it")
-            if problem := self._find_problem():
-                raise InputError(problem)
-            grid = self._grid()
+            with self._lock:
+                self._map.apply_waiting()
+                if problem := self._find_problem():
+                    raise InputError(problem)
+                grid, response.splats = self._grid(), self._voxels.splats
             path.parent.mkdir(exist_ok=True)
             save_grid(path, grid)
             rows, columns = grid.cells.shape
@@ -352,7 +348,6 @@ class Occupancy(Node):
             response.message = (
                 f"{request.path}: {columns} x {rows} cells, {occupied:,} occupied, {free:,} free"
             )
-            response.splats = self._voxels.splats
             response.success = True
         except Exception as error:  # no request may end the node
             response.message = shown(told(error), 500)

@@ -11,8 +11,8 @@ geometries of the groups 3 to 5, MuJoCo's place for what collides, are not drawn
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -61,8 +61,10 @@ class BodyPictures:
             self._scene.flags[getattr(self._mj.mjtRndFlag, f"mjRND_{flag}")] = False
         self._shared, self._own = context, None if context else _open(width, height)
         try:
-            with self._current(), _plain_quality(model, width, height):
-                self._mjr = self._mj.MjrContext(model, self._mj.mjtFontScale.mjFONTSCALE_100)
+            with self._current():
+                self._mjr = self._mj.MjrContext(
+                    _plain(model, width, height), self._mj.mjtFontScale.mjFONTSCALE_100
+                )
         except Exception as error:  # of MuJoCo, PyOpenGL or the driver
             self._free()
             raise NoGL(shown(error, 300)) from error
@@ -186,24 +188,15 @@ def _depth(window: NDArray[np.float32], lens: Camera) -> NDArray[np.float32]:
     return depth
 
 
-@contextmanager
-def _plain_quality(model: Any, width: int, height: int) -> Iterator[None]:
-    """What a context takes from its model: buffers of that size, one sample a pixel, no shadows,
-    and balls that are round."""
-    wanted = {
-        "offsamples": 0, "shadowsize": 0, "numslices": SLICES, "numstacks": SLICES // 2,
-        "offwidth": width, "offheight": height,
-    }  # fmt: skip
-    holders = dict.fromkeys(wanted, model.vis.quality)
-    holders["offwidth"] = holders["offheight"] = model.vis.global_
-    before = {name: getattr(holders[name], name) for name in wanted}
-    for name, value in wanted.items():
-        setattr(holders[name], name, value)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            setattr(holders[name], name, value)
+def _plain(model: Any, width: int, height: int) -> Any:
+    """A copy of a model for a context: buffers of that size, one sample a pixel, no shadows, and
+    balls that are round."""
+    plain = copy(model)
+    quality, buffers = plain.vis.quality, plain.vis.global_
+    quality.offsamples = quality.shadowsize = 0
+    quality.numslices, quality.numstacks = SLICES, SLICES // 2
+    buffers.offwidth, buffers.offheight = width, height
+    return plain
 
 
 def _open(width: int, height: int) -> Any:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -120,7 +120,8 @@ class Simulate(Node):
         self._outdated = False  # whether the robot is to be put into the map anew
         self._reported = (0.0, 0.0)  # real and simulated time of the last report [s]
         self._problem = SaidOnce(self.get_logger().warning)
-        self._bodies = _Bodies(self) if self._objects else None
+        # A map in which each object is a group that moves.
+        self._bodies = MapPublisher(self, topic="objects") if self._objects else None
         self._time = self.create_publisher(Clock, "/clock", **overridable(QoSProfile(depth=10)))
         self.create_subscription(
             FirstView, f"{self._map.topic}/first_view", self._on_first_view,
@@ -174,8 +175,8 @@ class Simulate(Node):
         self._time.publish(Clock(clock=stamp))
         if self._ticks % STATES == 0:
             self._states.publish(stamp)
-            if self._bodies:
-                self._bodies.follow(robot, eye)
+            if self._bodies is not None:
+                self._bodies.move(eye.riders.poses(robot.data, eye.map_pose))
         if problem := self._map.problem():
             self._problem.say(f"cameras and lidar wait: {problem}")
             return
@@ -216,8 +217,11 @@ class Simulate(Node):
         eye = SplatCamera(
             robot.model, robot.data, self._map.renderer, map_pose=pose, riding=standing.riding
         )
-        if self._bodies:
-            self._bodies.begin(self._map.frame_id, self._objects)
+        if self._bodies is not None:
+            self._bodies.frame_id = self._map.frame_id
+            self._bodies.replace(next(iter(self._objects.values()))[:0])
+            for number, thing in enumerate(self._objects.values()):
+                self._bodies.append(thing, group=number)
         if self._sensors is None:
             self._sensors = self._connect(robot)
         self._states.stand(robot, self._map.frame_id, pose)
@@ -330,27 +334,6 @@ class Simulate(Node):
         problem = self._problem.now
         state = "paused" if self._paused else "time passes"
         return Report(problem or state, figures, warns=bool(problem))
-
-
-class _Bodies:
-    """Publishes the objects as a map, in which each is a group that moves."""
-
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self._publisher: MapPublisher | None = None
-
-    def begin(self, frame_id: str, objects: Mapping[str, Splats]) -> None:
-        """Publishes the objects where they are in the map."""
-        if self._publisher is None:
-            self._publisher = MapPublisher(self._node, topic="objects", frame_id=frame_id)
-        self._publisher.replace(next(iter(objects.values()))[:0])
-        for number, splats in enumerate(objects.values()):
-            self._publisher.append(splats, group=number)
-
-    def follow(self, robot: RobotModel, eye: SplatCamera) -> None:
-        """Moves them to where they are now."""
-        assert self._publisher
-        self._publisher.move(eye.riders.poses(robot.data, eye.map_pose))
 
 
 def _objects(files: list[str]) -> dict[str, Splats]:

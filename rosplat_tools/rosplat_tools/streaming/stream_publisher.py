@@ -19,7 +19,7 @@ from rosplat_core.splats import InputError
 from rosplat_msgs.msg import GaussianArray, ViewCamera
 from rosplat_ros.map_publisher import MapPublisher
 from rosplat_ros.program.parameters import declare, declare_compression, declare_path
-from rosplat_ros.program.running import run, spinning
+from rosplat_ros.program.running import run_node
 from rosplat_ros.qos import VIEW, overridable
 from rosplat_ros.view_cameras import decode
 from rosplat_tools.first_views import FirstViews
@@ -74,20 +74,21 @@ class StreamPublisher(Node):
     def stream(self) -> None:
         """Follows the views until ROS ends. Call it from a thread that runs no callbacks."""
         resting = False
-        while self.context.ok():
-            self._view_came.clear()
-            try:
-                changed = self._map.step(self._recent_views())
-            except InputError as error:
-                self.get_logger().error(f"a chunk is left out: {error}")
-                continue
-            if changed:
-                self.get_logger().info(str(self._map), throttle_duration_sec=TELL_EVERY)
-            elif not resting:
-                self.get_logger().info(f"at rest: {self._map}")
-            resting = not changed
-            if resting:
-                self._view_came.wait(0.5)
+        with contextlib.closing(self._map):  # whose threads read
+            while self.context.ok():
+                self._view_came.clear()
+                try:
+                    changed = self._map.step(self._recent_views())
+                except InputError as error:
+                    self.get_logger().error(f"a chunk is left out: {error}")
+                    continue
+                if changed:
+                    self.get_logger().info(str(self._map), throttle_duration_sec=TELL_EVERY)
+                elif not resting:
+                    self.get_logger().info(f"at rest: {self._map}")
+                resting = not changed
+                if resting:
+                    self._view_came.wait(0.5)
 
     def _recent_views(self) -> list[PosedCamera]:
         """The cameras of views that are still there; if none is, of the last views."""
@@ -114,17 +115,6 @@ class StreamPublisher(Node):
             self._views.pop(next(iter(self._views)), None)
         self._view_came.set()
 
-    def close(self) -> None:
-        """Ends the threads that read."""
-        self._map.close()
-
 
 def main() -> None:
-    """Runs the node until it is told to end; exit code 1 if `path` is no streamed scene."""
-    run("stream_publisher", _publish)
-
-
-def _publish() -> None:
-    node = StreamPublisher()
-    with contextlib.closing(node), spinning(node):
-        node.stream()
+    run_node("stream_publisher", StreamPublisher, StreamPublisher.stream)
