@@ -38,8 +38,8 @@ class LatchedSubscription:
         self._node, self._given, self._profile = node, (kind, topic), profile
         self._heard = heard
         self.topic = node.resolve_topic_name(topic)
-        self._latched: bool | None = None  # no publisher is known yet
-        self._reliable: bool | None = None
+        # Whether the publishers are latched, and reliable; None: no publisher is known yet.
+        self._offered: tuple[bool, bool] | None = None
         self._early: deque[Any] = deque(maxlen=EARLY)  # heard until then; some come again
         self._subscription = self._subscribe()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # simulated time may stand still
@@ -52,26 +52,19 @@ class LatchedSubscription:
 
     def _subscribe(self) -> Any:
         adapted = copy(self._profile)
-        if self._latched:
-            adapted.durability = DurabilityPolicy.TRANSIENT_LOCAL
-        if self._reliable is not None:
+        if self._offered:
+            latched, reliable = self._offered
+            if latched:
+                adapted.durability = DurabilityPolicy.TRANSIENT_LOCAL
             adapted.reliability = (
-                ReliabilityPolicy.RELIABLE if self._reliable else ReliabilityPolicy.BEST_EFFORT
+                ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
             )
         return self._node.create_subscription(
             *self._given, self._on_message, **overridable(self._profile, adapted)
         )
 
-    def _offers_suit(self, latched: bool, reliable: bool) -> bool:
-        """Whether the subscription asks for just that, as parameters may have it."""
-        qos = self._subscription.qos_profile
-        return (latched, reliable) == (
-            qos.durability == DurabilityPolicy.TRANSIENT_LOCAL,
-            qos.reliability == ReliabilityPolicy.RELIABLE,
-        )
-
     def _on_message(self, message: Any) -> None:
-        if self._latched is None:
+        if self._offered is None:
             self._early.append(message)
         elif message in self._early:
             return
@@ -80,21 +73,24 @@ class LatchedSubscription:
         self._heard(message)
 
     def _adapt_to_publishers(self) -> None:
-        publishers = [
-            publisher.qos_profile
-            for publisher in self._node.get_publishers_info_by_topic(self.topic)
-        ]
+        publishers = self._node.get_publishers_info_by_topic(self.topic)
         if not publishers:
             return
-        reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in publishers)
-        # Best effort hears nothing that was kept.
-        latched = reliable and all(
-            qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in publishers
-        )
-        if self._latched is False:
+        offers = zip(*(_offer(publisher.qos_profile) for publisher in publishers), strict=True)
+        latched, reliable = map(all, offers)
+        latched &= reliable  # best effort hears nothing that was kept
+        if self._offered and not self._offered[0]:
             latched = False
-        changes = (latched, reliable) != (self._latched, self._reliable)
-        self._latched, self._reliable = latched, reliable
-        if changes and not self._offers_suit(latched, reliable):
+        before, self._offered = self._offered, (latched, reliable)
+        asked = _offer(self._subscription.qos_profile)  # as parameters may have it
+        if self._offered not in (before, asked):
             self._node.destroy_subscription(self._subscription)
             self._subscription = self._subscribe()
+
+
+def _offer(qos: QoSProfile) -> tuple[bool, bool]:
+    """Whether a QoS is latched, and reliable."""
+    return (
+        qos.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+        qos.reliability == ReliabilityPolicy.RELIABLE,
+    )
