@@ -88,10 +88,13 @@ class PlyPublisher(Node):
         except CancelledError:
             raise Cancelled from None
 
-    def destroy_node(self) -> None:
-        """Cancels reading, too."""
+    def end_reading(self) -> None:
+        """Cancels reading, and waits for its present step, which may take its time."""
         self._answer.cancel()
         self._reader.shutdown()
+
+    def destroy_node(self) -> None:
+        self.end_reading()
         super().destroy_node()
 
     def _ask(self) -> Future[str]:
@@ -201,10 +204,13 @@ def main() -> None:
 
 
 def _publish(node: PlyPublisher) -> None:
-    if not node.path:
-        service = node.resolve_service_name("~/load")
-        node.get_logger().info(f"no path is given: waiting for a call of {service}")
-    else:
-        with contextlib.suppress(Cancelled):  # by ~/load, or by the end of ROS
-            node.load(node.path)
-    wait_for_end(node)
+    try:
+        if not node.path:
+            service = node.resolve_service_name("~/load")
+            node.get_logger().info(f"no path is given: waiting for a call of {service}")
+        else:
+            with contextlib.suppress(Cancelled):  # by ~/load, or by the end of ROS
+                node.load(node.path)
+        wait_for_end(node)
+    finally:
+        node.end_reading()  # here, since a node may take no such time to be destroyed
