@@ -132,6 +132,11 @@ if [ -f "$folder/install/local_setup.bash" ] && [ "$state" = "$(cat "$folder/bui
 fi
 say "Building the packages ($folder/log/latest_build)"
 rm -f "$folder/built"
+# Installing deletes nothing: a module or a program that is no more would stay.
+for place in "$folder"/install/*/; do
+  package=$(basename "$place")
+  rm -rf "$place"lib/"$package" "$place"lib/python*/site-packages/"$package"
+done
 log=$(mktemp)
 trap 'rm -f "$log"' EXIT
 # What ends, and after how long; the first time, the engine and the messages take minutes each.

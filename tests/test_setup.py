@@ -168,6 +168,21 @@ def test_a_checkout_that_has_moved_is_built_anew(checkout: Checkout) -> None:
     assert "anew" not in checkout.bash(". ./env.sh", "wheels").stderr
 
 
+def test_what_is_no_more_is_no_longer_installed(checkout: Checkout) -> None:
+    installed = checkout.folder / ".ros/wheels/install/rosplat_tools/lib"
+    gone = [
+        installed / "rosplat_tools/program",
+        installed / "python3.11/site-packages/rosplat_tools/module.py",
+    ]
+    kept = installed / "python3.11/site-packages/another/module.py"
+    for file in (*gone, kept):
+        file.parent.mkdir(parents=True)
+        file.touch()
+    assert checkout.setup("wheels").returncode == 0
+    assert not any(file.exists() for file in gone)
+    assert kept.exists()
+
+
 def test_env_says_what_is_not_built(checkout: Checkout) -> None:
     assert "ROSPLAT_ROS=wheels" in checkout.bash(". ./env.sh", "wheels").stderr
     (checkout.folder / ".ros/wheels/install").mkdir(parents=True)
