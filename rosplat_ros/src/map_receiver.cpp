@@ -154,6 +154,8 @@ class MapReceiver::Listener {
     options_.topic = report_.topic;  // nothing is remapped there
     listen();
     own_->thread.start();
+    const std::lock_guard lock(mutex_);
+    report_.joined_anew = true;
   }
 
   rclcpp::TimerBase::SharedPtr addTimer(std::chrono::milliseconds period,

@@ -60,6 +60,7 @@ class MapReceiver {
     bool best_effort_unheard = false;     // a publisher, beside a reliable one
     bool volatile_unheard = false;        // a publisher, beside a transient local one
     bool begun_without = false;           // a publisher's batches before the subscription are lost
+    bool joined_anew = false;             // nothing had reached the node's own participant
   };
 
   // Subscribes. node: as for MapPublisher. Throws rclcpp's exceptions for a topic with an invalid

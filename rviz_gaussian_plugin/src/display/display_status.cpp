@@ -83,7 +83,9 @@ StatusLine topicStatus(const GaussianClient::Status& received) {
     return line(StatusProperty::Warn,
                 concat(batches, "; an order is dropped: ", received.dropped_order));
   }
-  return line(StatusProperty::Ok, batches);
+  return line(
+      StatusProperty::Ok,
+      batches + (received.joined_anew ? " by a participant of its own: see Find a fault" : ""));
 }
 
 StatusLine sceneFileStatus(const std::string& says, bool loading, bool failed,
